@@ -160,13 +160,13 @@ pub struct SessionConfig {
     // Limits on what others can make this robot hold.
     /// A peer not heard for so long is forgotten. Default 10,000.
     pub peer_timeout_ms: u32,
-    /// Peers known at once. Default 32. Worst case per peer: 25 KiB for each of `streams_max` streams, 96
-    /// bytes for each of `in_flight_max` packages (by broadcast 160, and 32 in each stream), and 26 KiB. All
+    /// Peers known at once. Default 32. Worst case per peer: 29 KiB for each of `streams_max` streams, 96
+    /// bytes for each of `in_flight_max` packages (by broadcast 160, and 32 in each stream), and 46 KiB. All
     /// worst cases together: [`memory_max`](Self::memory_max).
     pub peers_max: usize,
     /// Streams of others known at once. Of more, ended runs are dropped, the one of which nothing new has
     /// come for longest ([`Event::StreamForgotten`](crate::Event::StreamForgotten)); the newest run of a
-    /// robot that is heard never does. Default 64. Worst case 10 KiB each, beside what peers state of them.
+    /// robot that is heard never does. Default 64. Worst case 24 KiB each, beside what peers state of them.
     pub streams_max: usize,
     /// Runs kept of one origin; of more, the oldest is forgotten. Default 4.
     pub epochs_max: usize,

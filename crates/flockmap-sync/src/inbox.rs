@@ -434,11 +434,12 @@ impl Inbox {
         (self.pending.len(), self.backed_off.len())
     }
 
-    /// Packages that wait for those that they build on, and their bytes with bookkeeping.
+    /// A package that waits for those that it builds on.
     pub(crate) fn waiting_package(&self, stream: Stream, index: u32) -> Option<&Package> {
         self.waiting.get(stream, index)
     }
 
+    /// Packages that wait for those that they build on, and their bytes with bookkeeping.
     pub(crate) fn waiting(&self) -> (usize, usize) {
         self.waiting.load()
     }

@@ -6,6 +6,7 @@
 //! on the wire is in [`wire`] and, byte by byte, in `WIRE.md`; how it behaves is set by a [`SessionConfig`].
 #![forbid(unsafe_code)]
 
+mod broadcasts;
 mod clocks;
 mod coded;
 mod config;

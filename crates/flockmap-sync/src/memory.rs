@@ -11,7 +11,7 @@ const INTERVAL: usize = 8;
 const GROWTH: usize = 2;
 /// What is known of a stream beside the list of held indices: undecodable indices (64 intervals), whom what
 /// is lacking was had from (256), what went out to everyone (256 intervals), places in maps.
-const STREAM: usize = 3_072 + 2 * GROWTH * 256 * INTERVAL;
+const STREAM: usize = 3_072 + GROWTH * 256 * INTERVAL;
 /// What is known of a peer beside its views: what its last request said (up to eight times its bytes), the
 /// queue (256 items), runs that had no place, its pacer, its clock.
 const PEER: usize = 8 * DATAGRAM_BYTES_MAX + 36_864;
@@ -33,9 +33,10 @@ const EVENTS: usize = 4_096;
 const PACKAGE: usize = 200;
 /// Rejected packages that are remembered: so many, in a map.
 const BACKED_OFF: usize = 1_024 * 100;
-/// What went out to everyone lately (256 items), what the radio is found to carry, and by broadcast coded repair: symbols
-/// that were received, a block of which symbols are sent, and what is there while symbols are solved for.
+/// What went out to everyone lately (256 items), and what the radio is found to carry.
 const RADIO: usize = 64 << 10;
+/// Coded repair by broadcast: repair symbols that were received, the block of which some are sent, and what is there
+/// while they are solved for.
 const CODED: usize = (256 << 10) + (256 << 10) + (32 << 20);
 /// What one input makes and lets go again: a request with all its lists, a plan of what to send.
 const WORK: usize = 512 << 10;
@@ -44,7 +45,7 @@ impl SessionConfig {
     /// The most bytes that a [`Session`](crate::Session) with these options holds on the heap, whatever it
     /// receives and however late its events are taken: the sum of the worst cases that the limits state. As
     /// asked of the allocator, which may add some. What the driver keeps (layers) is not in it. The default:
-    /// 165 MB, of which 64 MiB are the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is in
+    /// 181 MB, of which 64 MiB are the store, 52 MB what 32 peers may state of 64 streams, 13 MB what is in
     /// flight to them, by broadcast 300 MB; honest peers take a hundredth of these two.
     pub const fn memory_max(&self) -> usize {
         let streams = self.streams_max + 1;

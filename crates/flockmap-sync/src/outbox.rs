@@ -1,6 +1,7 @@
 //! What is going out.
 
 use crate::IntervalSet;
+use crate::broadcasts::Broadcasts;
 use crate::coded::BlockEncoder;
 use crate::item::Item;
 use crate::pacer::{Pacer, burst_bytes};
@@ -9,19 +10,9 @@ use crate::peer::{PEER_INTERVALS_MAX, Sending};
 use crate::rate::Rate;
 use crate::wire::Contents;
 use crate::{SessionConfig, Store};
-use core::time::Duration;
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
-
-/// Of what went out to everyone so much is remembered.
-const BROADCASTS_MAX: usize = 256;
-const SENT_INTERVALS_MAX: usize = 256;
-/// Where there are more peers than so many, a repair waits for what others lack: so long times the square of their
-/// number.
-const ALONE_MAX: usize = 8;
-const GATHERING: Duration = Duration::from_micros(100);
-const GATHERING_MAX: Duration = Duration::from_secs(1);
+use std::collections::{BTreeMap, BTreeSet};
 
 /// What waits to be sent, and the budgets that let it go.
 #[derive(Debug)]
@@ -45,15 +36,11 @@ pub(crate) struct Outbox {
     pub(crate) blocked_until: Option<Stamp>,
     /// As [`Peer::superseded`](crate::peer::Peer::superseded), for a datagram that waits for the radio's budget.
     pub(crate) superseded: Option<u8>,
-    /// What went out to everyone before, of each stream. Intervals: at most [`SENT_INTERVALS_MAX`].
-    pub(crate) sent: BTreeMap<Stream, IntervalSet>,
-    /// What was sent before is not sent again before this.
-    pub(crate) repairs_at: Stamp,
-    /// Of the block that is being mended; and how many symbols were made, of all blocks.
+    /// By broadcast.
+    pub(crate) broadcasts: Broadcasts,
+    /// Of the block that is being repaired; and how many repair symbols were made, of all blocks.
     pub(crate) encoder: Option<BlockEncoder>,
     pub(crate) symbols_made: u32,
-    /// What went out to everyone lately: who is met now may have heard it. At most [`BROADCASTS_MAX`].
-    pub(crate) broadcasts: VecDeque<(Stamp, Item)>,
     /// Budgets of the links to peers that fell silent. At most `peers_max`, 2 KiB each.
     pub(crate) silent_links: BTreeMap<RobotId, Pacer>,
 }
@@ -141,9 +128,7 @@ impl Outbox {
             rate: config.congestion_control.then(Rate::new),
             blocked_until: None,
             superseded: None,
-            broadcasts: VecDeque::new(),
-            sent: BTreeMap::new(),
-            repairs_at: Stamp(i64::MIN),
+            broadcasts: Broadcasts::new(),
             encoder: None,
             symbols_made: 0,
             silent_links: BTreeMap::new(),
@@ -174,32 +159,6 @@ impl Outbox {
     pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
         self.radio.iter_mut().for_each(|radio| radio.spend(now, bytes));
         self.rate.iter_mut().for_each(|rate| rate.spend(now, bytes));
-    }
-
-    /// Notes what went out to everyone.
-    pub(crate) fn note_broadcast(&mut self, now: Stamp, items: &[Item]) {
-        for item in items {
-            if let Item::Package { stream, index } = *item {
-                // Of what has no place it is only not known that it was sent.
-                let sent = self.sent.entry(stream).or_insert_with(|| IntervalSet::new(SENT_INTERVALS_MAX));
-                let _ = sent.insert(index);
-            }
-        }
-        self.broadcasts.extend(items.iter().map(|item| (now, *item)));
-        self.broadcasts.drain(..self.broadcasts.len().saturating_sub(BROADCASTS_MAX));
-    }
-
-    /// Something got lost: others may lack something else, which the same datagram can mend.
-    pub(crate) fn await_more_losses(&mut self, now: Stamp, peers: usize) {
-        if peers > ALONE_MAX && self.repairs_at <= now {
-            self.repairs_at = now.plus((GATHERING * (peers * peers) as u32).min(GATHERING_MAX));
-        }
-    }
-
-    /// Whether something went out to everyone before.
-    pub(crate) fn was_sent(&self, item: Item) -> bool {
-        let Item::Package { stream, index } = item else { return false };
-        self.sent.get(&stream).is_some_and(|sent| sent.contains(index))
     }
 
     /// What is sent for an item, if it is there.

@@ -16,7 +16,7 @@ const THIN_BYTES_PER_S: i64 = 2_000;
 
 /// What may go out at once, refilled at a rate.
 #[derive(Clone, Debug)]
-pub(crate) struct Bucket {
+pub(crate) struct TokenBucket {
     bytes_per_s: i64,
     /// Bytes · 10⁶: what may be sent at once.
     burst: i64,
@@ -24,7 +24,7 @@ pub(crate) struct Bucket {
     filled_at: Stamp,
 }
 
-impl Bucket {
+impl TokenBucket {
     pub(crate) fn new(bytes_per_s: u32, burst_bytes: u32) -> Self {
         let burst = i64::from(burst_bytes) * SECOND_MICROS;
         Self { bytes_per_s: i64::from(bytes_per_s), burst, tokens: burst, filled_at: Stamp(i64::MIN) }
@@ -62,7 +62,7 @@ impl Bucket {
 #[derive(Clone, Debug)]
 pub(crate) struct Pacer {
     bytes_per_s: i64,
-    bucket: Bucket,
+    bucket: TokenBucket,
     /// Number of the slot and bytes sent in it, over the last second.
     sent: VecDeque<(i64, i64)>,
     sent_sum: i64,
@@ -76,7 +76,7 @@ impl Pacer {
         let burst = if is_thin { burst_bytes } else { burst_bytes.min(bytes_per_s) };
         Self {
             bytes_per_s: i64::from(bytes_per_s),
-            bucket: Bucket::new(bytes_per_s, burst),
+            bucket: TokenBucket::new(bytes_per_s, burst),
             sent: VecDeque::new(),
             sent_sum: 0,
         }

@@ -10,7 +10,7 @@ use crate::item::Item;
 use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
 use crate::path::PeerPath;
-use crate::rate::{Arrival, Waiting};
+use crate::rate::{Arrival, QueueingDelay};
 use crate::wire::OriginRange;
 use crate::{IntervalSet, SessionConfig};
 use core::time::Duration;
@@ -18,6 +18,8 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+/// Peers of a small swarm: of more, what each sends adds up on the radio.
+pub(crate) const SMALL_SWARM: usize = 8;
 /// Intervals kept of the origins that a peer has covered.
 const ORIGIN_INTERVALS_MAX: usize = 256;
 /// Runs noted that a peer holds and that have no place here.
@@ -97,11 +99,11 @@ pub(crate) struct Peer {
     pub(crate) round_trip: RoundTrip,
     pub(crate) clock: ClockFilter,
     pub(crate) loss: Loss,
-    /// How long datagrams to it and from it wait.
-    pub(crate) waiting_out: Waiting,
-    pub(crate) waiting_in: Waiting,
-    /// How long its last datagram waited.
-    pub(crate) waited_in: Duration,
+    /// Queueing delay of datagrams to it and from it.
+    pub(crate) queueing_out: QueueingDelay,
+    pub(crate) queueing_in: QueueingDelay,
+    /// How long its last datagram queued.
+    pub(crate) queued_in: Duration,
     pub(crate) arrival: Option<Arrival>,
     pub(crate) pacer: Option<Pacer>,
     /// A datagram of packages for it waits for its link's budget; and how many requests to everyone went out
@@ -140,9 +142,9 @@ impl Peer {
             round_trip: RoundTrip::new(ms(config.round_trip_initial_ms)),
             clock: ClockFilter::default(),
             loss: Loss::default(),
-            waiting_out: Waiting::default(),
-            waiting_in: Waiting::default(),
-            waited_in: Duration::ZERO,
+            queueing_out: QueueingDelay::default(),
+            queueing_in: QueueingDelay::default(),
+            queued_in: Duration::ZERO,
             arrival: None,
             pacer: config
                 .link_bytes_per_s

@@ -1,12 +1,14 @@
 //! What the radio carries, found by the robot itself: congestion control.
 //!
-//! Loss says little on a radio, so it goes by delay, as LEDBAT (RFC 6817) and CoDel (RFC 8289) do: of what was
-//! sent and heard in a while, the least time that a datagram waited. If even that is long, a queue stands: the
-//! rate goes down to the part of what is carried that is this robot's. Else it goes up, as long as it is used.
+//! Loss says little on a radio, so it goes by queueing delay, as LEDBAT (RFC 6817) and CoDel (RFC 8289) do. Of
+//! all datagrams sent and heard within half a second or more the least delay counts. If even that is above the
+//! target, a queue stands: the rate goes down to this robot's share of what the radio carries. Else it goes up,
+//! as long as it is used.
 //!
-//! Waiting is measured without clocks that agree, against the least delay of the last minutes.
+//! The clocks need not agree: a queueing delay is measured against the base delay, the least one of the last one
+//! to two minutes.
 
-use crate::pacer::{Bucket, burst_bytes};
+use crate::pacer::{TokenBucket, burst_bytes};
 use core::time::Duration;
 use flockmap_grid::Stamp;
 use std::collections::VecDeque;
@@ -16,37 +18,37 @@ const INITIAL: u32 = 250_000;
 /// Least rate: a full datagram in a minute.
 const MIN: u32 = 20;
 const MAX: u32 = 1 << 30;
-/// A queue stands if nothing waited less than this …
-const STANDING: i64 = 100_000;
+/// Target: a queue stands if no datagram queued for less than this …
+const TARGET: i64 = 100_000;
 /// … and the time of two full datagrams, at most this.
-const STANDING_MAX: i64 = 2_000_000;
+const TARGET_MAX: i64 = 2_000_000;
 const FULL_DATAGRAM: i64 = 1_228;
 const SECOND: i64 = 1_000_000;
-/// A verdict takes so many samples, over so long …
+/// The rate is set anew after so many samples, over so long …
 const OWN_SAMPLES: u32 = 3;
 const HEARD_SAMPLES: u32 = 8;
 const WINDOW_MIN: i64 = 500_000;
 /// … or fewer over so long.
 const WINDOW_LONG: i64 = 2_000_000;
-/// Samples of a window that brought no verdict are forgotten after so long.
+/// Samples that are too few are forgotten after so long.
 const WINDOW_MAX: i64 = 20_000_000;
 
-/// How long datagrams in one direction wait: each delay against the least one of the last minutes.
+/// How long datagrams in one direction queue: the delay of each against the base delay.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Waiting {
-    /// The least delay of this span of time and of the one before, in microseconds, of two clocks.
+pub(crate) struct QueueingDelay {
+    /// The least delay of this minute and of the one before, in microseconds, between two clocks.
     least: Option<[i64; 2]>,
     since: Option<Stamp>,
 }
 
 const SPAN: Duration = Duration::from_secs(60);
 const NOISE: i64 = 20_000;
-/// Who seems to have waited longer has another clock now.
-const WAITED_MAX: i64 = 300_000_000;
+/// A datagram that seems to have queued for longer comes of a clock that was set.
+const QUEUED_MAX: i64 = 300_000_000;
 
-impl Waiting {
-    /// Microseconds that a datagram waited, from its delay: of two clocks that do not agree. `None`: that is not
-    /// known, since nothing waited less before, or a clock was set.
+impl QueueingDelay {
+    /// Microseconds that a datagram queued, from its delay between two clocks that need not agree. `None`: not
+    /// known, since it is the first one, or lowers the base delay, or a clock was set.
     pub(crate) fn sample(&mut self, now: Stamp, delay: i64) -> Option<i64> {
         let is_first = self.least.is_none();
         let [mut this, mut before] = self.least.unwrap_or([delay; 2]);
@@ -56,8 +58,8 @@ impl Waiting {
         }
         this = this.min(delay);
         self.least = Some([this, before]);
-        let waited = delay.saturating_sub(this.min(before));
-        (!is_first && !is_less && waited < WAITED_MAX).then_some(waited)
+        let queued = delay.saturating_sub(this.min(before));
+        (!is_first && !is_less && queued < QUEUED_MAX).then_some(queued)
     }
 }
 
@@ -91,13 +93,13 @@ impl SentLog {
     }
 }
 
-/// What was seen since the last verdict.
+/// What was seen since the rate was set last.
 #[derive(Clone, Debug)]
 struct Window {
     since: Stamp,
     sent: u64,
     heard: u64,
-    /// Samples, and the least wait of them: of own datagrams, each counted once, and of others'.
+    /// Samples, and the least queueing delay of them: of own datagrams, each counted once, and of others'.
     own: (u32, i64),
     others: (u32, i64),
 }
@@ -105,6 +107,23 @@ struct Window {
 impl Window {
     const fn new(since: Stamp, sent: u64) -> Self {
         Self { since, sent, heard: 0, own: (0, i64::MAX), others: (0, i64::MAX) }
+    }
+
+    /// The least queueing delay, if enough was seen in the time that passed.
+    fn least_delay(&self, passed: i64, is_heard_by_all: bool) -> Option<i64> {
+        if passed < WINDOW_MIN {
+            return None;
+        }
+        let is_long = passed >= WINDOW_LONG;
+        let enough = if is_long && is_heard_by_all { HEARD_SAMPLES / 2 } else { HEARD_SAMPLES };
+        match (self.own, self.others) {
+            ((count, least), _) if count >= OWN_SAMPLES => Some(least),
+            // By unicast the queues of others say little of the own one.
+            ((count, least), _) if count > 0 && is_long && !is_heard_by_all => Some(least),
+            (_, (count, least)) if count >= enough => Some(least),
+            ((count, least), _) if count > 0 && is_long => Some(least),
+            _ => None,
+        }
     }
 }
 
@@ -119,18 +138,18 @@ pub(crate) struct Arrival {
 #[derive(Clone, Debug)]
 pub(crate) struct Rate {
     bytes_per_s: u32,
-    bucket: Bucket,
-    /// What was sent before says nothing of this rate.
+    bucket: TokenBucket,
+    /// When it went down last: what was sent before says nothing of the rate since.
     changed_at: Stamp,
-    /// No limit was met yet: the rate may double.
-    is_starting: bool,
+    /// No queue stood yet: the rate may double.
+    in_slow_start: bool,
     log: SentLog,
     window: Option<Window>,
     newest_own: Stamp,
-    /// What all together could send when a queue stood last, where all is heard.
+    /// What all robots together sent when a queue stood last, as far as it is heard.
     capacity: i64,
-    /// Own bytes a second that arrived, by what was said last.
-    delivered: Option<u32>,
+    /// Own bytes a second that arrived, by the last echoes.
+    delivery_rate: Option<u32>,
 }
 
 /// What may go out at once.
@@ -142,20 +161,20 @@ impl Rate {
     pub(crate) fn new() -> Self {
         Self {
             bytes_per_s: INITIAL,
-            bucket: Bucket::new(INITIAL, burst(INITIAL)),
+            bucket: TokenBucket::new(INITIAL, burst(INITIAL)),
             changed_at: Stamp(i64::MIN),
-            is_starting: true,
+            in_slow_start: true,
             log: SentLog::default(),
             window: None,
             newest_own: Stamp(i64::MIN),
             capacity: 0,
-            delivered: None,
+            delivery_rate: None,
         }
     }
 
-    /// No limit was met yet.
-    pub(crate) const fn is_starting(&self) -> bool {
-        self.is_starting
+    /// No queue stood yet.
+    pub(crate) const fn in_slow_start(&self) -> bool {
+        self.in_slow_start
     }
 
     pub(crate) const fn bytes_per_s(&self) -> u32 {
@@ -173,22 +192,22 @@ impl Rate {
         self.log.add(now, bytes as u64);
     }
 
-    /// A datagram of another robot was heard, which had waited for so long; `None`: that says nothing.
-    pub(crate) fn note_heard(&mut self, now: Stamp, bytes: usize, waited: Option<i64>) {
+    /// A datagram of another robot was heard, which had queued for so long; `None`: not known.
+    pub(crate) fn note_heard(&mut self, now: Stamp, bytes: usize, queued: Option<i64>) {
         let (changed_at, window) = (self.changed_at, self.window(now));
         window.heard += bytes as u64;
-        if let Some(waited) = waited.filter(|&waited| now.plus_micros(-waited) >= changed_at) {
-            window.others = (window.others.0 + 1, window.others.1.min(waited));
+        if let Some(queued) = queued.filter(|&queued| now.plus_micros(-queued) >= changed_at) {
+            window.others = (window.others.0 + 1, window.others.1.min(queued));
         }
     }
 
-    /// A peer says when an own datagram came, which had waited for so long; `before` is what it said last.
+    /// A peer says when an own datagram arrived, which had queued for so long; `before` is what it said last.
     pub(crate) fn note_arrival(
         &mut self,
         now: Stamp,
         arrival: Arrival,
         before: Option<Arrival>,
-        waited: Option<i64>,
+        queued: Option<i64>,
     ) {
         let passed = before.map(|before| (before, arrival.arrived.micros_since(before.arrived)));
         if let Some((before, passed)) =
@@ -196,13 +215,13 @@ impl Rate {
             && let (Some(then), Some(now)) = (self.log.upto(before.sent), self.log.upto(arrival.sent))
         {
             let rate = now.saturating_sub(then) * SECOND as u64 / passed as u64;
-            self.delivered = Some(rate.min(MAX.into()) as u32);
+            self.delivery_rate = Some(rate.min(MAX.into()) as u32);
         }
-        if let Some(waited) = waited.filter(|_| arrival.sent >= self.changed_at) {
+        if let Some(queued) = queued.filter(|_| arrival.sent >= self.changed_at) {
             let is_new = arrival.sent > self.newest_own;
             self.newest_own = self.newest_own.max(arrival.sent);
             let window = self.window(now);
-            window.own = (window.own.0 + u32::from(is_new), window.own.1.min(waited));
+            window.own = (window.own.0 + u32::from(is_new), window.own.1.min(queued));
         }
     }
 
@@ -214,38 +233,38 @@ impl Rate {
         self.window.get_or_insert_with(|| Window::new(now, sent))
     }
 
-    /// Comes to a verdict if enough was seen; whether the rate is another one now. `peers`: who shares the radio,
+    /// Sets the rate anew if enough was seen; whether it is another one now. `peers`: how many share the radio,
     /// where all that they send is heard.
     pub(crate) fn review(&mut self, now: Stamp, peers: Option<usize>) -> bool {
         let Some(window) = &self.window else { return false };
         let passed = now.micros_since(window.since);
-        let Some(least) = window.least_wait(passed, peers.is_some()) else { return false };
+        let Some(least) = window.least_delay(passed, peers.is_some()) else { return false };
         let per_second = |bytes: u64| (bytes.min(1 << 40) as i64 * SECOND / passed).min(MAX.into());
         let sent = per_second(self.log.bytes - window.sent);
-        let own = self.delivered.map_or(sent, |delivered| sent.min(delivered.into()));
+        let own = self.delivery_rate.map_or(sent, |delivery_rate| sent.min(delivery_rate.into()));
         let carried = own + per_second(window.heard);
         let robots = peers.map_or(1, |peers| peers as i64 + 1);
         let share = if peers.is_some() { carried / robots } else { 0 };
         let two_datagrams = 2 * FULL_DATAGRAM * SECOND / if peers.is_some() { carried } else { own }.max(1);
-        let limit = STANDING + two_datagrams.min(STANDING_MAX);
+        let limit = TARGET + two_datagrams.min(TARGET_MAX);
         let before = i64::from(self.bytes_per_s);
         let to = if least > limit {
             let (part, of) = match least {
                 least if least > 16 * limit => (4, 10),
-                least if self.is_starting || least > 4 * limit => (6, 10),
+                least if self.in_slow_start || least > 4 * limit => (6, 10),
                 _ => (85, 100),
             };
-            // As long as nobody said what arrived, who hears all others knows what is carried.
-            let own = match (self.delivered, peers) {
+            // As long as no echo says what arrived, who hears all others counts on its share alone.
+            let own = match (self.delivery_rate, peers) {
                 (Some(_), _) => own,
                 (None, Some(_)) => 0,
                 (None, None) => own / 2,
             };
-            (self.is_starting, self.capacity, self.changed_at) = (false, carried, now);
+            (self.in_slow_start, self.capacity, self.changed_at) = (false, carried, now);
             (own.max(share) * part / of).min(before)
         } else if before < 2 * sent.max(share) {
-            let more = if self.is_starting { before } else { before / 8 + 4 };
-            // What was carried before and is not now, those who send share.
+            let more = if self.in_slow_start { before } else { before / 8 + 4 };
+            // What the radio carried before and does not carry now is shared by those who send.
             let unused = if peers.is_some() { self.capacity * 9 / 10 - carried } else { 0 };
             before + more + 2 * unused.max(0) / robots
         } else {
@@ -255,25 +274,6 @@ impl Rate {
         self.bytes_per_s = to.clamp(MIN.into(), MAX.into()) as u32;
         self.bucket.set(now, self.bytes_per_s, burst(self.bytes_per_s));
         i64::from(self.bytes_per_s) != before
-    }
-}
-
-impl Window {
-    /// The least time that something waited, if enough was seen in the time that passed.
-    fn least_wait(&self, passed: i64, is_heard_by_all: bool) -> Option<i64> {
-        if passed < WINDOW_MIN {
-            return None;
-        }
-        let is_long = passed >= WINDOW_LONG;
-        let enough = if is_long && is_heard_by_all { HEARD_SAMPLES / 2 } else { HEARD_SAMPLES };
-        match (self.own, self.others) {
-            ((count, least), _) if count >= OWN_SAMPLES => Some(least),
-            // Where each sends to one robot, the waiting of others says little of the own.
-            ((count, least), _) if count > 0 && is_long && !is_heard_by_all => Some(least),
-            (_, (count, least)) if count >= enough => Some(least),
-            ((count, least), _) if count > 0 && is_long => Some(least),
-            _ => None,
-        }
     }
 }
 

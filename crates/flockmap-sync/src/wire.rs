@@ -13,8 +13,6 @@ mod path;
 mod request;
 mod sealed;
 
-// The session does not use it yet.
-#[allow(unused_imports)]
 pub(crate) use coded::{Coded, parse_coded};
 pub use datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, HEADER_BYTES, Kind, LAYOUT, WIRE_VERSION,

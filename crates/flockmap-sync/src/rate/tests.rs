@@ -20,7 +20,7 @@ struct Medium {
 struct Robot {
     rate: Rate,
     /// From and to each other robot, and what that said last.
-    waits: BTreeMap<usize, (Waiting, Waiting, Option<Arrival>)>,
+    waits: BTreeMap<usize, (QueueingDelay, QueueingDelay, Option<Arrival>)>,
     newest: BTreeMap<usize, Arrival>,
     sent: u64,
     /// Bytes a second that it would send.
@@ -89,8 +89,8 @@ impl Swarm {
             for to in (0..count).filter(|to| *to != from) {
                 let robot = &mut self.robots[to];
                 let now = Stamp(self.now + robot.clock);
-                let (waiting_in, ..) = robot.waits.entry(from).or_default();
-                let waited = waiting_in.sample(now, now.micros_since(sent));
+                let (queueing_in, ..) = robot.waits.entry(from).or_default();
+                let waited = queueing_in.sample(now, now.micros_since(sent));
                 robot.rate.note_heard(now, BYTES, waited);
                 robot.newest.insert(from, Arrival { sent, arrived: now });
                 robot.rate.review(now, Some(count - 1));
@@ -103,8 +103,8 @@ impl Swarm {
             for (about, arrival) in newest {
                 let robot = &mut self.robots[about];
                 let now = Stamp(self.now + robot.clock);
-                let (_, waiting_out, before) = robot.waits.entry(teller).or_default();
-                let waited = waiting_out.sample(now, arrival.arrived.micros_since(arrival.sent));
+                let (_, queueing_out, before) = robot.waits.entry(teller).or_default();
+                let waited = queueing_out.sample(now, arrival.arrived.micros_since(arrival.sent));
                 let before = before.replace(arrival);
                 robot.rate.note_arrival(now, arrival, before, waited);
                 robot.rate.review(now, Some(count - 1));
@@ -135,7 +135,7 @@ fn a_radio_that_carries_more_than_is_sent_slows_nobody_down() {
     for wants in [1_000, 20_000, 100_000] {
         let mut swarm = Swarm::new(4, 1_000_000, wants);
         swarm.run(60);
-        assert!(swarm.robots.iter().all(|robot| robot.rate.is_starting()), "{wants}");
+        assert!(swarm.robots.iter().all(|robot| robot.rate.in_slow_start()), "{wants}");
         assert!(swarm.waited_most < SECOND / 10, "{wants}: {} ms", swarm.waited_most / 1_000);
     }
 }
@@ -165,7 +165,7 @@ fn a_rate_goes_up_again_when_others_fall_silent() {
 fn stamps_that_make_no_sense_do_no_harm() {
     let ends = [Stamp(i64::MIN), Stamp(-1), Stamp(0), Stamp(1), Stamp(i64::MAX)];
     let mut rate = Rate::new();
-    let (mut waiting, mut before) = (Waiting::default(), None);
+    let (mut waiting, mut before) = (QueueingDelay::default(), None);
     for now in ends {
         for sent in ends {
             for arrived in ends {

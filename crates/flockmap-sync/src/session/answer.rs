@@ -87,10 +87,10 @@ impl Session {
             peer.round_trip.sample(round_trip);
         }
         let arrival = Arrival { sent, arrived: header.stamp.plus_micros(-i64::from(echo.age_micros)) };
-        let waited = peer.waiting_out.sample(now, arrival.arrived.micros_since(sent));
+        let queued = peer.queueing_out.sample(now, arrival.arrived.micros_since(sent));
         let before = peer.arrival.replace(arrival);
         if let Some(rate) = &mut self.outbox.rate {
-            rate.note_arrival(now, arrival, before, waited);
+            rate.note_arrival(now, arrival, before, queued);
         }
         peer.clock.sample(sent, header.stamp.plus_micros(-i64::from(echo.age_micros)), header.stamp, now);
         if let Some(offset) = peer.clock.offset()
@@ -214,8 +214,8 @@ impl Session {
         let timeout = self.round_trip_timeout(id);
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let patience = self.config.patience(peer.round_trip.variation());
-        // What it says is as old as its request waited, and what was sent before that waited about as long.
-        let timeout = timeout + 2 * peer.waited_in;
+        // What it says is as old as its request queued, and what was sent before that queued about as long.
+        let timeout = timeout + 2 * peer.queued_in;
         let is_lost = |sent: &SentPackage| match self.config.in_flight {
             InFlight::PreviousRequest => sent.requests >= 2,
             InFlight::RoundTrip => match echo.filter(|(stamp, _)| *stamp >= sent.at) {
@@ -285,7 +285,7 @@ impl Session {
         self.report.counters.confirmed += confirmed;
         self.report.counters.lost += lost;
         if lost > 0 {
-            self.outbox.await_more_losses(now, self.peers.len());
+            self.outbox.broadcasts.note_loss(now, self.peers.len());
         }
         let Some(peer) = self.peers.get_mut(&id) else { return };
         peer.loss.sample(confirmed, lost);

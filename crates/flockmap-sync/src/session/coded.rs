@@ -13,7 +13,8 @@ use std::collections::BTreeSet;
 
 /// Plain packages have to cost at least so many quarters of what repair symbols do.
 const WORTH_QUARTERS: usize = 5;
-/// Of a datagram so many records of repair symbols are read at the most: to solve one takes up to a millisecond.
+/// Of a datagram so many records of repair symbols are read at the most: to solve for one takes up to 2.4 ms, and up to
+/// 56 ms where somebody chose the symbols to that end (docs/coded-repair.md).
 const CODED_RECORDS_MAX: usize = 1;
 
 /// What a datagram of repair symbols mends.
@@ -28,7 +29,7 @@ impl Session {
     /// Repair symbols in place of a package that was sent before, if that costs fewer bytes. O(peers × packages).
     pub(super) fn mending(&mut self, now: Stamp, item: Item) -> Option<Mending> {
         let Item::Package { stream, index } = item else { return None };
-        if self.config.cast != Cast::Broadcast || !self.outbox.was_sent(item) {
+        if self.config.cast != Cast::Broadcast || !self.outbox.broadcasts.was_sent(item) {
             return None;
         }
         let lacking = self.lacking_of_many(now, stream, index)?;
@@ -79,7 +80,7 @@ impl Session {
     /// What each peer lacks that was sent before, from this package on and near it: where at least two lack
     /// something, and of what is stored without a gap.
     fn lacking_of_many(&self, now: Stamp, stream: Stream, index: u32) -> Option<Vec<(RobotId, Vec<u32>)>> {
-        let sent = self.outbox.sent.get(&stream)?;
+        let sent = self.outbox.broadcasts.sent(stream)?;
         let mut low = index;
         while low > 1 && index - low < PACKAGES_MAX as u32 / 2 && self.store.get(stream, low - 1).is_some() {
             low -= 1;

@@ -164,7 +164,7 @@ impl Session {
             peer.path = before.as_ref().map(|before| before.path).unwrap_or_default();
             let before = before.and_then(|before| before.pacer);
             peer.pacer = before.or_else(|| self.outbox.silent_links.remove(&id)).or(peer.pacer);
-            for &(at, item) in &self.outbox.broadcasts {
+            for (at, item) in self.outbox.broadcasts.recent() {
                 peer.cover(item, at, self.config.in_flight_max);
             }
             self.peers.insert(id, peer);
@@ -176,10 +176,10 @@ impl Session {
         let newest_counts = self.stamp_counts(now.since(newest_at));
         if let Some(peer) = self.peers.get_mut(&id) {
             peer.note_heard(now);
-            let waited = peer.waiting_in.sample(now, now.micros_since(header.stamp));
-            peer.waited_in = Duration::from_micros(waited.unwrap_or(0).max(0) as u64);
+            let queued = peer.queueing_in.sample(now, now.micros_since(header.stamp));
+            peer.queued_in = Duration::from_micros(queued.unwrap_or(0).max(0) as u64);
             if let Some(rate) = &mut self.outbox.rate {
-                rate.note_heard(now, bytes + overhead, waited);
+                rate.note_heard(now, bytes + overhead, queued);
             }
             peer.traffic_in.add(1, bytes + overhead);
             if header.stamp > peer.newest_stamp || !newest_counts {

@@ -1,8 +1,8 @@
 //! Requests: what they say.
 
 use super::Session;
-use super::timing::SMALL_SWARM;
 use crate::event::{Destination, Transmit};
+use crate::peer::SMALL_SWARM;
 use crate::timers::Timer;
 use crate::wire::{
     ClockReport, Echo, Kind, OriginRange, Received, Request, SnapshotRequest, TransferProgress,
@@ -123,13 +123,11 @@ impl Session {
         let (mut request, urgent) = self.request(now);
         request.received.truncate(urgent);
         let urgent = request.received.len();
-        if self.peers.len() > SMALL_SWARM {
-            let is_asked = |robot| request.received.iter().any(|received| received.stream.origin == robot);
-            let is_met = |robot| self.peers.get(&robot).is_some_and(|peer| is_greeting && !peer.is_greeted);
-            request.echoes.retain(|echo| is_asked(echo.robot) || is_met(echo.robot));
-            request.all_echoes = false;
-        }
-        (Request { is_short: true, origins: None, clocks: Vec::new(), ..request }, urgent)
+        let is_asked = |robot| request.received.iter().any(|received| received.stream.origin == robot);
+        let is_met = |robot| self.peers.get(&robot).is_some_and(|peer| is_greeting && !peer.is_greeted);
+        request.echoes.retain(|echo| is_asked(echo.robot) || is_met(echo.robot));
+        let clocks = Vec::new();
+        (Request { is_short: true, origins: None, all_echoes: false, clocks, ..request }, urgent)
     }
 
     /// What there is to say; and how many of the lists of held indices are urgent: the own one, and those

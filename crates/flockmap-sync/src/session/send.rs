@@ -159,13 +159,13 @@ impl Session {
         let Some(peer) = self.peers.get(&id) else { return (writer, positions) };
         let room = self.config.in_flight_max.saturating_sub(peer.in_flight.len()).max(1);
         let mut sent = None;
-        let is_gathering = self.outbox.repairs_at > now && self.config.cast == Cast::Broadcast;
+        let repairs_at = self.outbox.broadcasts.repairs_wait_until(now);
         let mut is_held = false;
         for (position, &item) in peer.queue.iter().enumerate().take(BUNDLE_LOOKAHEAD) {
             if positions.len() >= room || !peer.lacks(item) {
                 continue;
             }
-            if is_gathering && self.outbox.was_sent(item) {
+            if repairs_at.is_some() && self.outbox.broadcasts.was_sent(item) {
                 is_held = true;
                 continue;
             }
@@ -182,8 +182,8 @@ impl Session {
                 positions.push(position);
             }
         }
-        if is_held {
-            self.schedule.timers.set_sooner(Timer::Budget, self.outbox.repairs_at);
+        if let Some(at) = repairs_at.filter(|_| is_held) {
+            self.schedule.timers.set_sooner(Timer::Budget, at);
         }
         if positions.len() == room && !positions.is_empty() {
             writer.ask_for_request();
@@ -204,7 +204,7 @@ impl Session {
             self.report.counters.chunks_sent += u64::from(matches!(item, Item::Chunk { .. }));
         }
         if to == Destination::Everyone {
-            self.outbox.note_broadcast(now, items);
+            self.outbox.broadcasts.note(now, items);
         }
         for (&other, peer) in &mut self.peers {
             if other == id || to == Destination::Everyone {

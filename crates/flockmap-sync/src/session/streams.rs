@@ -39,7 +39,7 @@ impl Session {
         // What of it was not polled yet must not be taken for what comes of it from now on.
         self.inbox.drop_upto(stream, u32::MAX);
         self.mender.forget(stream);
-        self.outbox.sent.remove(&stream);
+        self.outbox.broadcasts.forget(stream);
         self.report
             .events
             .retain(|event| !matches!(event, Event::Received(package) if package.header().stream == stream));

@@ -3,7 +3,7 @@
 use super::Session;
 use crate::config::ms;
 use crate::event::Destination;
-use crate::peer::Peer;
+use crate::peer::{Peer, SMALL_SWARM};
 use crate::timers::Timer;
 use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -20,8 +20,6 @@ const SUPERSEDED_PAUSE: Duration = Duration::from_secs(1);
 const GAP_TRIES: u32 = 10;
 /// In a swarm larger than [`SMALL_SWARM`], whose requests add up on the radio.
 const GAP_TRIES_OF_MANY: u32 = 3;
-/// Peers of a small swarm.
-pub(super) const SMALL_SWARM: usize = 8;
 /// After so many requests that brought nothing, a gap does not count as something that flows.
 const ACTIVE_TRIES: u32 = 64;
 /// Longest pause between requests for gaps that stay; periodic ones go on beside them.
@@ -174,13 +172,12 @@ impl Session {
     /// The rate of which whole requests take their share.
     pub(super) fn request_bytes_per_s(&self) -> Option<u32> {
         let starting = (STARTING_BYTES_PER_S / (self.peers.len() + 1)) as u32;
-        let starting = self.outbox.rate.as_ref().filter(|rate| rate.is_starting()).map(|_| starting);
+        let starting = self.outbox.rate.as_ref().filter(|rate| rate.in_slow_start()).map(|_| starting);
         self.radio_bytes_per_s().into_iter().chain(starting).min()
     }
 
     pub(super) fn schedule_next(&mut self, now: Stamp, for_gap: bool, is_short: bool, to: Destination) {
-        let is_small = self.peers.len() <= SMALL_SWARM;
-        if to == Destination::Everyone && (!is_short || is_small) {
+        if to == Destination::Everyone && !is_short {
             self.schedule.last_whole = now;
             let flows = now.since(self.schedule.last_activity) < ms(self.config.active_for_ms);
             let active = flows || (self.schedule.gap_tries < ACTIVE_TRIES && self.has_gap(now));

@@ -1,0 +1,77 @@
+//! What went out to everyone: who hears this robot may have it, and it is repaired rather than sent anew.
+
+use crate::IntervalSet;
+use crate::item::Item;
+use crate::peer::SMALL_SWARM;
+use core::time::Duration;
+use flockmap_grid::{Stamp, Stream};
+use std::collections::{BTreeMap, VecDeque};
+
+/// Items remembered with the time at which they went out.
+const RECENT_MAX: usize = 256;
+/// Intervals of what went out, of each stream.
+const SENT_INTERVALS_MAX: usize = 256;
+/// Beyond a small swarm a repair waits for what others lack: so long times the square of the number of peers.
+const GATHERING: Duration = Duration::from_micros(100);
+const GATHERING_MAX: Duration = Duration::from_secs(1);
+
+/// Packages and chunks that went out to everyone. Memory: 8 KiB, and 4 KiB for each stream.
+#[derive(Debug)]
+pub(crate) struct Broadcasts {
+    /// The last ones, oldest first.
+    recent: VecDeque<(Stamp, Item)>,
+    sent: BTreeMap<Stream, IntervalSet>,
+    repairs_at: Stamp,
+}
+
+impl Broadcasts {
+    pub(crate) const fn new() -> Self {
+        Self { recent: VecDeque::new(), sent: BTreeMap::new(), repairs_at: Stamp(i64::MIN) }
+    }
+
+    /// Notes what goes out.
+    pub(crate) fn note(&mut self, now: Stamp, items: &[Item]) {
+        for item in items {
+            if let Item::Package { stream, index } = *item {
+                // One that has no place in the list counts as not sent yet, and goes out plain.
+                let sent = self.sent.entry(stream).or_insert_with(|| IntervalSet::new(SENT_INTERVALS_MAX));
+                let _ = sent.insert(index);
+            }
+            self.recent.push_back((now, *item));
+        }
+        self.recent.drain(..self.recent.len().saturating_sub(RECENT_MAX));
+    }
+
+    /// The last ones: who is met now may have heard them.
+    pub(crate) fn recent(&self) -> impl Iterator<Item = (Stamp, Item)> + '_ {
+        self.recent.iter().copied()
+    }
+
+    /// Which packages of a stream went out.
+    pub(crate) fn sent(&self, stream: Stream) -> Option<&IntervalSet> {
+        self.sent.get(&stream)
+    }
+
+    /// Whether a package went out before.
+    pub(crate) fn was_sent(&self, item: Item) -> bool {
+        let Item::Package { stream, index } = item else { return false };
+        self.sent(stream).is_some_and(|sent| sent.contains(index))
+    }
+
+    /// Something got lost: a crowd may lack other packages too, which the same datagram can repair.
+    pub(crate) fn note_loss(&mut self, now: Stamp, peers: usize) {
+        if peers > SMALL_SWARM && self.repairs_at <= now {
+            self.repairs_at = now.plus((GATHERING * (peers * peers) as u32).min(GATHERING_MAX));
+        }
+    }
+
+    /// Until when a package waits that was sent before.
+    pub(crate) fn repairs_wait_until(&self, now: Stamp) -> Option<Stamp> {
+        Some(self.repairs_at).filter(|at| *at > now)
+    }
+
+    pub(crate) fn forget(&mut self, stream: Stream) {
+        self.sent.remove(&stream);
+        self.recent.retain(|(_, item)| item.stream() != stream);
+    }
+}
