@@ -53,6 +53,10 @@ pub(crate) fn begin_snapshot_id(
         hasher.update(&changed_upto.to_le_bytes());
         hasher.update(&[u8::from(span.is_cut) | u8::from(span.is_of_all) << 1]);
     }
+    if let Some(says_upto) = span.says_upto {
+        hasher.update(b"says");
+        hasher.update(&says_upto.to_le_bytes());
+    }
     hash_sensors(&mut hasher, state.sensors());
     hasher
 }

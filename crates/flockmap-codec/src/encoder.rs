@@ -198,6 +198,7 @@ fn changes_header(codec: Codec, batch: &Batch, index: u32, region: VoxelBox) -> 
         content: ContentKind::Changes,
         lost_upto: None,
         changed_upto: None,
+        says_upto: None,
         is_cut: false,
         is_of_all: false,
         priority: Priority::Obstacles,

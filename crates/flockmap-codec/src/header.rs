@@ -43,7 +43,10 @@ pub struct Header {
     /// Of a snapshot: who made it knew of packages that are not contained, up to this one at most, and what these changed
     /// is not in it, nor what was there before. `None`: nothing is lacking for that; so of all changes. From 1.
     pub changed_upto: Option<u32>,
-    /// Of a snapshot with that: nothing is in it that is newer than the packages that are contained.
+    /// Of a snapshot that is not cut: who made it had merged some of what packages that are not contained said, up to this
+    /// one at most, and that may be in it too. `None`: nothing of the kind. From 1.
+    pub says_upto: Option<u32>,
+    /// Of a snapshot with `changed_upto`: nothing is in it that is newer than the packages that are contained.
     pub is_cut: bool,
     /// Of a snapshot that is cut: who made it held all packages up to `changed_upto`. So what it says of a voxel is the
     /// newest that they say.
@@ -93,15 +96,15 @@ const KIND_INDEPENDENT: u8 = 2;
 /// A snapshot that lacks what was dropped.
 const KIND_SNAPSHOT_IN_PART: u8 = 3;
 /// In the byte of codec and kind: bits 0 to 2 are the codec, 3 and 4 the kind, 5 and 6 the priority, or of a snapshot
-/// what of later packages is lacking; bit 7: the box is made of whole blocks, and counted in these.
+/// what there is to say of later packages; bit 7: the box is made of whole blocks, and counted in these.
 const BOX_IN_BLOCKS: u8 = 1 << 7;
 const KIND_SHIFT: u32 = 3;
 const PRIORITY_SHIFT: u32 = 5;
 /// The stream stands behind version, codec and kind.
 pub(crate) const STREAM_AT: usize = 2;
-/// What a snapshot has in place of a priority: what packages that are not contained changed is lacking …
-const CHANGED_LATER: u8 = 1;
-/// … and all that is newer …
+/// What a snapshot has in place of a priority: it lacks what packages that are not contained changed, or says some of it …
+const OF_LATER: u8 = 1;
+/// … or lacks that and all that is newer …
 const CUT: u8 = 3;
 /// … of the state of a robot that held all of them.
 const CUT_OF_ALL: u8 = 2;
@@ -122,12 +125,7 @@ impl Header {
         let (unit, flag) = if is_in_blocks(&self.region) { (BLOCK_SIDE, BOX_IN_BLOCKS) } else { (1, 0) };
         let priority = match self.content {
             ContentKind::Changes => self.priority as u8,
-            ContentKind::Snapshot { .. } => match (self.changed_upto, self.is_cut, self.is_of_all) {
-                (None, ..) => 0,
-                (Some(_), false, _) => CHANGED_LATER,
-                (Some(_), true, false) => CUT,
-                (Some(_), true, true) => CUT_OF_ALL,
-            },
+            ContentKind::Snapshot { .. } => self.later(),
         };
         out.push(self.codec.id() | kind << KIND_SHIFT | priority << PRIORITY_SHIFT | flag);
         put_varint(out, u64::from(self.stream.origin.0));
@@ -147,10 +145,26 @@ impl Header {
                 if let Some(lost_upto) = self.lost_upto {
                     put_zigzag(out, lost_upto.0.wrapping_sub(epoch_micros(self.stream.epoch)));
                 }
-                if let Some(changed_upto) = self.changed_upto {
-                    put_zigzag(out, i64::from(changed_upto) - i64::from(self.index));
+                match (self.later(), self.changed_upto) {
+                    (OF_LATER, changed_upto) => {
+                        put_varint(out, changed_upto.unwrap_or(0).into());
+                        put_varint(out, self.says_upto.unwrap_or(0).into());
+                    }
+                    (_, Some(changed_upto)) => {
+                        put_zigzag(out, i64::from(changed_upto) - i64::from(self.index))
+                    }
+                    (_, None) => {}
                 }
             }
+        }
+    }
+
+    const fn later(&self) -> u8 {
+        match (self.changed_upto, self.says_upto, self.is_cut, self.is_of_all) {
+            (None, None, ..) => 0,
+            (Some(_), _, true, false) => CUT,
+            (Some(_), _, true, true) => CUT_OF_ALL,
+            (..) => OF_LATER,
         }
     }
 
@@ -200,7 +214,7 @@ impl Header {
         if unit == 1 && is_in_blocks(&region) {
             return Err(wrong("a box of whole blocks is counted in blocks"));
         }
-        let (mut lost_upto, mut changed_upto) = (None, None);
+        let (mut lost_upto, mut changed_upto, mut says_upto) = (None, None, None);
         let (content, base) = if is_snapshot {
             let since = read_back(&mut reader, index, "since", "a span begins after an earlier package")?;
             let id = reader.u32_le("snapshot id")?;
@@ -213,7 +227,15 @@ impl Header {
                 let lost = reader.signed("newest stamp dropped")?;
                 lost_upto = Some(Stamp(lost.wrapping_add(epoch_micros(epoch))));
             }
-            if later != 0 {
+            if later == OF_LATER {
+                let mut upto = |what| {
+                    reader.number(what, u32_max).map(|upto| Some(upto as u32).filter(|upto| *upto > 0))
+                };
+                (changed_upto, says_upto) = (upto("changed upto")?, upto("says upto")?);
+                changed_upto
+                    .or(says_upto)
+                    .ok_or_else(|| wrong("of later packages there is something to say"))?;
+            } else if later != 0 {
                 let upto = reader.signed("changed upto")?.checked_add(i64::from(index));
                 changed_upto = upto.and_then(|upto| u32::try_from(upto).ok()).filter(|upto| *upto > 0);
                 changed_upto.ok_or_else(|| wrong("indices begin at 1"))?;
@@ -243,6 +265,7 @@ impl Header {
             content,
             lost_upto,
             changed_upto,
+            says_upto,
             is_cut,
             is_of_all,
             priority,

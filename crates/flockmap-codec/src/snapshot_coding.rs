@@ -227,7 +227,7 @@ impl Headers {
         id: u32,
         [chunk, chunks]: [u32; 2],
     ) -> Header {
-        let Span { stream, since, upto, lost_upto, changed_upto, is_cut, is_of_all } = self.span;
+        let Span { stream, since, upto, lost_upto, changed_upto, says_upto, is_cut, is_of_all } = self.span;
         Header {
             stream,
             index: upto,
@@ -241,6 +241,7 @@ impl Headers {
             content: ContentKind::Snapshot { since, id, chunk, chunks },
             lost_upto,
             changed_upto,
+            says_upto,
             is_cut,
             is_of_all,
             priority: Priority::Obstacles,

@@ -33,7 +33,9 @@ pub struct Span {
     pub lost_upto: Option<Stamp>,
     /// What packages that are not contained changed is lacking, up to this one at most. `None`: nothing is.
     pub changed_upto: Option<u32>,
-    /// And nothing is there that is newer than these packages.
+    /// What is said of packages that are not contained, up to this one at most, may be there too. `None`: nothing is.
+    pub says_upto: Option<u32>,
+    /// What is lacking is lacking since nothing is there that is newer than these packages.
     pub is_cut: bool,
     /// And it is of the state of who held all packages up to `changed_upto`.
     pub is_of_all: bool,
@@ -42,6 +44,7 @@ pub struct Span {
 impl Span {
     /// Of a state in which nothing is lacking.
     pub const fn new(stream: Stream, since: u32, upto: u32) -> Self {
-        Self { stream, since, upto, lost_upto: None, changed_upto: None, is_cut: false, is_of_all: false }
+        let (lost_upto, changed_upto, says_upto) = (None, None, None);
+        Self { stream, since, upto, lost_upto, changed_upto, says_upto, is_cut: false, is_of_all: false }
     }
 }

@@ -107,6 +107,7 @@ fn cube(side: u32, byte: u8) -> Package {
         content: flockmap_codec::ContentKind::Changes,
         lost_upto: None,
         changed_upto: None,
+        says_upto: None,
         is_cut: false,
         is_of_all: false,
         priority: Priority::NearFree,

@@ -73,8 +73,9 @@ impl StreamCopy {
         let Some(upto) = received.last() else { return Ok(Vec::new()) };
         // One of a history with gaps says by itself no more than its newest package.
         let is_whole = received.contains_range(1, upto);
-        let (since, changed_upto) = (if is_whole { 0 } else { upto - 1 }, cuts.changed_upto);
-        let span = Span { changed_upto, ..Span::new(stream, since, upto) };
+        let since = if is_whole { 0 } else { upto - 1 };
+        let says_upto = cuts.says_upto.filter(|said| *said > upto);
+        let span = Span { changed_upto: cuts.changed_upto, says_upto, ..Span::new(stream, since, upto) };
         let cuts = Some(cuts).filter(|_| is_whole);
         let (mut chunks, mut bytes_max) = (Vec::new(), PIECE_BYTES);
         let mut reader = PieceReader::new(&layer, span, None, cuts, bytes_max);

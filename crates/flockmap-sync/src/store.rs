@@ -53,6 +53,8 @@ struct StreamStore {
     touched: Stamp,
     /// What packages up to this one changed may be lacking, of those that are not held.
     changed_upto: u32,
+    /// What packages up to this one changed may be in the layer, of those that are not held.
+    said_upto: u32,
 }
 
 /// Packages by stream. *Held* is what was taken into the map; *stored* is what of it can be sent on as it came.
@@ -192,6 +194,18 @@ impl Store {
     pub(crate) fn note_changed(&mut self, stream: Stream, upto: u32) {
         if let Some(stream_store) = self.streams.get_mut(&stream) {
             stream_store.changed_upto = stream_store.changed_upto.max(upto);
+        }
+    }
+
+    /// Of packages that are not held, some of what those up to this one changed may be in the layer; 0 for none.
+    pub(crate) fn said_upto(&self, stream: Stream) -> u32 {
+        self.streams.get(&stream).map_or(0, |stream_store| stream_store.said_upto)
+    }
+
+    /// Notes that some of what packages up to this one changed is in the layer, held or not.
+    pub(crate) fn note_said(&mut self, stream: Stream, upto: u32) {
+        if let Some(stream_store) = self.streams.get_mut(&stream) {
+            stream_store.said_upto = stream_store.said_upto.max(upto);
         }
     }
 
@@ -447,6 +461,7 @@ impl StreamStore {
             bytes: 0,
             touched: now,
             changed_upto: 0,
+            said_upto: 0,
         }
     }
 }

@@ -231,6 +231,7 @@ fn package(case: &Case, draft: &Draft, index: u32, decoder: &mut Decoder, layer:
         content,
         lost_upto: None,
         changed_upto: None,
+        says_upto: None,
         is_cut: false,
         is_of_all: false,
         priority: Priority::Obstacles,

@@ -94,7 +94,14 @@ impl PieceReader {
             }
             let changed_upto = Some(cuts.newest).filter(|_| !mutation::is(Mutation::PieceUnsaid));
             let is_cut = changed_upto.is_some();
-            span = Span { upto, changed_upto, is_cut, is_of_all: is_cut && cuts.has_all, ..span };
+            span = Span {
+                upto,
+                changed_upto,
+                says_upto: None,
+                is_cut,
+                is_of_all: is_cut && cuts.has_all,
+                ..span
+            };
         }
         let rest = reader.upto();
         self.ended_at = span.upto;
@@ -190,7 +197,7 @@ mod tests {
                     stamps.push((number, Stamp(i64::from(number) * 10)));
                 }
             }
-            let cuts = Cuts { stamps, newest: seen.len() as u32, has_all: true, changed_upto: None };
+            let cuts = Cuts { stamps, newest: seen.len() as u32, has_all: true, changed_upto: None, says_upto: None };
             let (mut together, mut before) = (Layer::default(), 0);
             for (of, state) in pieces(&layer, &cuts, bytes_max) {
                 prop_assert!(of.since == before && of.upto > before && !state.is_empty());

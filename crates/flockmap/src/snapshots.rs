@@ -194,8 +194,8 @@ impl Making {
         let Wanted { stream, since, upto, newer_than, bytes_max, in_pieces } = wanted;
         let piece_bytes = form.piece_bytes.min(PIECE_SHARE.saturating_mul(form.chunks_bytes_max));
         let begin = || {
-            let changed_upto = cuts.changed_upto;
-            let span = Span { changed_upto, ..Span::new(stream, since, upto) };
+            let Cuts { changed_upto, says_upto, .. } = cuts;
+            let span = Span { changed_upto, says_upto, ..Span::new(stream, since, upto) };
             let cuts = Some(cuts).filter(|_| in_pieces);
             let reader = PieceReader::new(layer, span, newer_than, cuts, piece_bytes);
             Source { stream, reader, left: layer.bytes_left_in_copies() }
@@ -274,7 +274,8 @@ mod tests {
         layer: &Layer,
     ) -> Option<(Stream, Result<Vec<Package>, EncodeError>)> {
         if let Some(wanted) = snapshots.take_turn() {
-            let cuts = Cuts { stamps: Vec::new(), newest: 1, has_all: true, changed_upto: None };
+            let cuts =
+                Cuts { stamps: Vec::new(), newest: 1, has_all: true, changed_upto: None, says_upto: None };
             snapshots.begin(layer, wanted, cuts, FORM);
         }
         snapshots.go_on(FORM)
@@ -344,7 +345,13 @@ mod tests {
         let form = Form { piece_bytes: 1, ..FORM };
         let mut snapshots = Snapshots::default();
         let make = |snapshots: &mut Snapshots, since| {
-            let cuts = Cuts { stamps: vec![(1, Stamp(1))], newest: 2, has_all: true, changed_upto: None };
+            let cuts = Cuts {
+                stamps: vec![(1, Stamp(1))],
+                newest: 2,
+                has_all: true,
+                changed_upto: None,
+                says_upto: None,
+            };
             let newer_than = (since > 0).then_some(Stamp(1));
             snapshots.want(Wanted { since, upto: 2, in_pieces: true, ..wanted(1, newer_than) });
             snapshots.note_call();

@@ -4,6 +4,7 @@
 mod common;
 
 use common::{PERFECT, Radio, Random, Swarm, config, scan};
+use flockmap::codec::ContentKind;
 use flockmap::{Codec, Event, Pose, RobotConfig, Stream};
 
 const LOSSY: Radio = Radio { loss: 0.2, duplication: 0.05, damage: 0.01, delay_ms: (5.0, 60.0) };
@@ -130,6 +131,39 @@ fn who_has_some_pieces_passes_on_what_it_has_when_the_origin_is_gone() {
             assert!(!is_in_pieces(&swarm, robot, own), "seed {seed}, robot {robot}");
             assert_eq!(swarm.robots[robot].counters().damaged, 0, "seed {seed}");
         }
+    }
+}
+
+#[test]
+fn who_has_merged_some_of_a_snapshot_says_so_with_states_of_its_own() {
+    for seed in [8, 9] {
+        let mut swarm = Swarm::new(configs(2), LOSSY, seed);
+        swarm.cut = vec![(0, 1)];
+        fly(&mut swarm, 0..300, to_and_fro, &mut Random(seed));
+        let own = swarm.robots[0].own_stream();
+        swarm.cut.clear();
+        let chunk = |event: &Event| match event {
+            Event::Merged { stream, index, package, .. }
+                if *stream == own && package.header().content != ContentKind::Changes =>
+            {
+                Some(*index)
+            }
+            _ => None,
+        };
+        // Not all of its chunks have come.
+        let index = loop {
+            swarm.run(5);
+            let held = prefix(&swarm, 1, own);
+            if let Some(index) = swarm.events[1].iter().filter_map(chunk).find(|index| *index > held) {
+                break index;
+            }
+            assert!(held < prefix(&swarm, 0, own), "seed {seed}");
+        };
+        let cuts = swarm.robots[1].session().cuts(own, prefix(&swarm, 1, own));
+        assert!(cuts.newest >= index && cuts.says_upto == Some(index) && !cuts.has_all, "{cuts:?}");
+        swarm.run(60_000);
+        let cuts = swarm.robots[1].session().cuts(own, prefix(&swarm, 1, own));
+        assert!(cuts.says_upto.is_none() && cuts.has_all, "all of it is held: {cuts:?}");
     }
 }
 

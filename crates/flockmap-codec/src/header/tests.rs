@@ -57,6 +57,9 @@ fn header() -> impl Strategy<Value = Header> {
                 content,
                 lost_upto: lost_upto.filter(|_| content != ContentKind::Changes).map(Stamp),
                 changed_upto: later.filter(|_| content != ContentKind::Changes).map(|later| later.max(1)),
+                says_upto: later
+                    .filter(|later| content != ContentKind::Changes && later % 2 == 1 && later % 3 == 0)
+                    .map(|later| later.wrapping_mul(5).max(1)),
                 is_cut: later.is_some_and(|later| later % 2 == 0) && content != ContentKind::Changes,
                 is_of_all: later.is_some_and(|later| later % 4 == 0) && content != ContentKind::Changes,
             }
@@ -122,6 +125,7 @@ fn a_usual_header_takes_few_bytes() {
         content: ContentKind::Changes,
         lost_upto: None,
         changed_upto: None,
+        says_upto: None,
         is_cut: false,
         is_of_all: false,
         priority: Priority::NearFree,
@@ -151,12 +155,15 @@ fn numbers_out_of_range_are_refused() {
         bytes.extend(
             [0; 6].into_iter().chain([0, 9, 9, 9, 9, 0, 1]).chain(end.iter().copied()).chain([1, 2, 3, 4]),
         );
-        let said = |header: Header| (header.changed_upto, header.newest_of());
+        let said = |header: Header| (header.changed_upto, header.says_upto, header.newest_of());
         Header::read(&bytes).map(|(header, ..)| said(header)).map_err(|error| error.to_string())
     };
-    assert_eq!(snapshot(CHANGED_LATER, &[14]), Ok((Some(12), 5)));
-    assert_eq!(snapshot(CUT, &[14]), Ok((Some(12), 5)));
-    assert_eq!(snapshot(CUT_OF_ALL, &[14]), Ok((Some(12), 12)));
+    assert_eq!(snapshot(OF_LATER, &[12, 0]), Ok((Some(12), None, 5)));
+    assert_eq!(snapshot(OF_LATER, &[0, 9]), Ok((None, Some(9), 5)));
+    let nothing = "package header: of later packages there is something to say";
+    assert_eq!(snapshot(OF_LATER, &[0, 0]), Err(nothing.into()));
+    assert_eq!(snapshot(CUT, &[14]), Ok((Some(12), None, 5)));
+    assert_eq!(snapshot(CUT_OF_ALL, &[14]), Ok((Some(12), None, 12)));
     let rule = "package header: indices begin at 1";
     assert_eq!(snapshot(CUT, &[9]), Err(rule.into()));
     assert_eq!(snapshot(CUT, &[0xff, 0xff, 0xff, 0xff, 0x0f]), Err(rule.into()));

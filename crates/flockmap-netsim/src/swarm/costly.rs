@@ -54,6 +54,7 @@ impl Costly {
             content: ContentKind::Changes,
             lost_upto: None,
             changed_upto: None,
+            says_upto: None,
             is_cut: false,
             is_of_all: false,
             priority: Priority::NearFree,

@@ -147,7 +147,7 @@ impl Robot {
     fn merge_snapshot(&mut self, now: Stamp, package: &Package, state: &Snapshot) -> Result<Event, Refusal> {
         let header = package.header();
         let stream = header.stream;
-        self.session.note_piece(header);
+        self.session.note_merging(header);
         self.note_clock(stream);
         self.note_merging(state.parts.iter().map(|(_, part)| part.blocks().len()).sum());
         if self.session.begin_part(header)
