@@ -1,10 +1,11 @@
-//! What went out to everyone: who hears this robot may have it, and it is repaired rather than sent anew.
+//! What went out to everyone: who hears this robot may have it, and it is repaired rather than sent anew. And what others
+//! sent to everyone.
 
 use crate::IntervalSet;
 use crate::item::Item;
 use crate::peer::SMALL_SWARM;
 use core::time::Duration;
-use flockmap_grid::{Stamp, Stream};
+use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Items remembered with the time at which they went out.
@@ -15,18 +16,25 @@ const SENT_INTERVALS_MAX: usize = 256;
 const GATHERING: Duration = Duration::from_micros(100);
 const GATHERING_MAX: Duration = Duration::from_secs(1);
 
-/// Packages and chunks that went out to everyone. Memory: 8 KiB, and 4 KiB for each stream.
+/// Packages and chunks that went out to everyone. Memory: 24 KiB, and 4 KiB for each stream.
 #[derive(Debug)]
 pub(crate) struct Broadcasts {
     /// The last ones, oldest first.
     recent: VecDeque<(Stamp, Item)>,
+    /// And the last ones that others sent, with who did.
+    heard: VecDeque<(Stamp, RobotId, Item)>,
     sent: BTreeMap<Stream, IntervalSet>,
     repairs_at: Stamp,
 }
 
 impl Broadcasts {
     pub(crate) const fn new() -> Self {
-        Self { recent: VecDeque::new(), sent: BTreeMap::new(), repairs_at: Stamp(i64::MIN) }
+        Self {
+            recent: VecDeque::new(),
+            heard: VecDeque::new(),
+            sent: BTreeMap::new(),
+            repairs_at: Stamp(i64::MIN),
+        }
     }
 
     /// Notes what goes out.
@@ -40,6 +48,22 @@ impl Broadcasts {
             self.recent.push_back((now, *item));
         }
         self.recent.drain(..self.recent.len().saturating_sub(RECENT_MAX));
+    }
+
+    /// Notes what another robot sent.
+    pub(crate) fn note_heard(&mut self, now: Stamp, from: RobotId, item: Item) {
+        self.heard.push_back((now, from, item));
+        self.heard.drain(..self.heard.len().saturating_sub(RECENT_MAX));
+    }
+
+    /// What others sent of a stream since a time: who hears them has heard it too.
+    pub(crate) fn heard(
+        &self,
+        stream: Stream,
+        since: Stamp,
+    ) -> impl Iterator<Item = (Stamp, RobotId, Item)> + '_ {
+        let heard = self.heard.iter().rev().take_while(move |(at, ..)| *at > since).copied();
+        heard.filter(move |(.., item)| item.stream() == stream)
     }
 
     /// The last ones: who is met now may have heard them.
@@ -73,5 +97,6 @@ impl Broadcasts {
     pub(crate) fn forget(&mut self, stream: Stream) {
         self.sent.remove(&stream);
         self.recent.retain(|(_, item)| item.stream() != stream);
+        self.heard.retain(|(.., item)| item.stream() != stream);
     }
 }

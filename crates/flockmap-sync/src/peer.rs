@@ -96,6 +96,12 @@ pub(crate) struct Peer {
     pub(crate) queue: VecDeque<Item>,
     /// The queue has to be made anew: something changed, or it was cut to its bound.
     pub(crate) queue_stale: bool,
+    /// The streams of which this robot may have to send it something, as long as it says nothing new: in a crowd few.
+    pub(crate) planned: Vec<Stream>,
+    /// Those have to be found anew.
+    pub(crate) planned_stale: bool,
+    /// Of robots that it hears, and this robot too, so many have a lower id.
+    pub(crate) relays_before: u32,
     pub(crate) round_trip: RoundTrip,
     pub(crate) clock: ClockFilter,
     pub(crate) loss: Loss,
@@ -138,7 +144,10 @@ impl Peer {
             in_flight: VecDeque::new(),
             offer_at: now,
             queue: VecDeque::new(),
-            queue_stale: false,
+            queue_stale: true,
+            planned: Vec::new(),
+            planned_stale: true,
+            relays_before: 0,
             round_trip: RoundTrip::new(ms(config.round_trip_initial_ms)),
             clock: ClockFilter::default(),
             loss: Loss::default(),
@@ -170,6 +179,11 @@ impl Peer {
         ms(config.peer_timeout_ms).max(PAUSES_MISSED * self.next_within.min(NEXT_WITHIN_MAX))
     }
 
+    /// When it is forgotten if nothing is heard of it until then.
+    pub(crate) fn lost_at(&self, config: &SessionConfig) -> Stamp {
+        self.last_heard.plus(self.timeout(config))
+    }
+
     /// Whether it may not have said yet whom it hears.
     pub(crate) fn is_new(&self, now: Stamp, peers: usize) -> bool {
         // The more there are, the longer it takes.
@@ -186,9 +200,29 @@ impl Peer {
         self.request.is_some() && (!self.hears_all_listed || self.lists(robot))
     }
 
+    /// Whether it hears what this robot hears of another one, by broadcast.
+    pub(crate) fn hears_too(&self, robot: RobotId) -> bool {
+        self.stream.origin != robot && self.hears_all_listed && self.hears(robot)
+    }
+
     /// Whether its last request names this robot among those that it hears.
     fn lists(&self, robot: RobotId) -> bool {
         self.hears.contains_key(&robot)
+    }
+
+    /// What it says of streams is another now.
+    pub(crate) const fn plan_anew(&mut self) {
+        (self.queue_stale, self.planned_stale) = (true, true);
+    }
+
+    /// Whether something may be for it.
+    pub(crate) fn has_to_do(&self) -> bool {
+        self.queue_stale || !self.queue.is_empty() || self.superseded.is_some()
+    }
+
+    /// Whether this robot may have to send it something of a stream.
+    pub(crate) fn is_planned(&self, stream: Stream) -> bool {
+        self.planned_stale || self.planned.contains(&stream)
     }
 
     /// Whether the peer wants packages of this stream at all.

@@ -215,7 +215,7 @@ impl Session {
         if mutation::is(Mutation::TimeStandsStill) {
             return Some(self.clocks.now());
         }
-        let lost = self.peers.values().map(|peer| peer.last_heard.plus(peer.timeout(&self.config))).min();
+        let lost = self.schedule.timers.get(Timer::Silence);
         // A request that is due already waits for the budget, like everything else: the timer of that says
         // until when.
         let budget = self.schedule.timers.get(Timer::Budget);
@@ -319,17 +319,20 @@ impl Session {
     /// Moves the own clock on and forgets peers that fell silent.
     fn advance(&mut self, now: Stamp) -> Stamp {
         let now = self.clocks.advance(now);
-        while let Some(lost) = self.lost_peer(now) {
-            self.silence(lost.origin);
-            self.identity.replays.forget_window(lost.origin);
-            self.push_event(Event::PeerLost(lost));
+        if self.schedule.timers.is_due(Timer::Silence, now) {
+            let lost = self.peers.values().filter(|peer| peer.lost_at(&self.config) <= now);
+            let lost: Vec<Stream> = lost.map(|peer| peer.stream).collect();
+            for lost in lost {
+                self.silence(lost.origin);
+                self.identity.replays.forget_window(lost.origin);
+                self.push_event(Event::PeerLost(lost));
+            }
+            self.schedule.timers.stop(Timer::Silence);
+            for peer in self.peers.values() {
+                self.schedule.timers.set_sooner(Timer::Silence, peer.lost_at(&self.config));
+            }
         }
         now
-    }
-
-    fn lost_peer(&self, now: Stamp) -> Option<Stream> {
-        let is_lost = |peer: &&Peer| now.since(peer.last_heard) >= peer.timeout(&self.config);
-        self.peers.values().find(is_lost).map(|peer| peer.stream)
     }
 
     /// Forgets a peer, but not what its link's budget has seen.
@@ -339,6 +342,7 @@ impl Session {
             self.outbox.silent_links.pop_first();
         }
         self.outbox.silent_links.extend(pacer.map(|pacer| (id, pacer)));
+        self.count_relays(None);
     }
 
     /// What may be sent in a second, in all.

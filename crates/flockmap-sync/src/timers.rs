@@ -15,10 +15,13 @@ pub(crate) enum Timer {
     Probe,
     /// A budget that stopped sending has room again.
     Budget,
+    /// A peer may count as gone, not earlier.
+    Silence,
 }
 
 impl Timer {
-    const ALL: [Self; 5] = [Self::Request, Self::Greeting, Self::Gap, Self::Probe, Self::Budget];
+    const ALL: [Self; 6] =
+        [Self::Request, Self::Greeting, Self::Gap, Self::Probe, Self::Budget, Self::Silence];
     /// Those at which a request goes out.
     pub(crate) const REQUESTS: [Self; 4] = [Self::Request, Self::Greeting, Self::Gap, Self::Probe];
 }

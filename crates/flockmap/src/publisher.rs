@@ -20,6 +20,8 @@ use sent::SentHistory;
 const DEFER_PAUSE: Duration = Duration::from_millis(10);
 /// And where there was nothing to publish, after so many.
 const NOTHING_PAUSE: Duration = Duration::from_millis(50);
+/// Pause between two looks at what the peers hold.
+const REQUESTS_SEEN_PAUSE: Duration = Duration::from_millis(50);
 
 /// Takes what has changed from the mapper, when and as far as the radio takes it, and makes packages of it.
 pub(crate) struct Publisher {
@@ -35,6 +37,7 @@ pub(crate) struct Publisher {
     repair: RepairDelay,
     /// Requests taken in when the repair delay was looked at last.
     requests_seen: u64,
+    requests_seen_at: Stamp,
     cost: Cost,
     /// A batch is due and waits for the budget.
     deferred: Option<Deferred>,
@@ -73,6 +76,7 @@ impl Publisher {
             own_layer: OwnLayer::IsWhole,
             repair: RepairDelay::new(config.repair_delay_max_ms),
             requests_seen: 0,
+            requests_seen_at: Stamp(i64::MIN),
             cost: Cost::default(),
             deferred: None,
         }
@@ -203,11 +207,11 @@ impl Publisher {
         self.own_layer >= OwnLayer::HasAll
     }
 
-    /// Takes in what the peers hold, after a datagram.
-    pub(crate) fn note_requests(&mut self, session: &Session) {
+    /// Takes in what the peers hold, after a datagram. O(peers), at most twenty times a second.
+    pub(crate) fn note_requests(&mut self, now: Stamp, session: &Session) {
         let requests = session.counters().requests_in.datagrams;
-        if requests != self.requests_seen {
-            self.requests_seen = requests;
+        if requests != self.requests_seen && now.since(self.requests_seen_at) >= REQUESTS_SEEN_PAUSE {
+            (self.requests_seen, self.requests_seen_at) = (requests, now);
             self.repair.note_received(session.own_received_by_peers());
         }
     }

@@ -276,7 +276,7 @@ impl Robot {
 
     fn after_datagram(&mut self, now: Stamp) {
         self.answer_session(now);
-        self.publisher.note_requests(&self.session);
+        self.publisher.note_requests(now, &self.session);
     }
 
     /// Closes the batch now, with whatever has changed; where what a former run had published

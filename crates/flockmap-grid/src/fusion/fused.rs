@@ -57,7 +57,7 @@ impl Fused {
         mapper: &Mapper,
         targets: &[(BlockIndex, Plane)],
     ) -> usize {
-        let (layers, mut looked) = (self.heard(sources).count(), 0);
+        let mut looked = 0;
         for targets in targets.chunks(REFRESHED_AT_ONCE) {
             let mut fused: Vec<_> = targets
                 .iter()
@@ -65,59 +65,62 @@ impl Fused {
                     mapper.block(*index).map_or_else(StateBlock::default, |b| b.masked(mask))
                 })
                 .collect();
+            let heard: Vec<_> = self.heard(sources).collect();
             let mut contested = vec![[0u64; 8]; targets.len()];
-            for (_, origin, source) in self.heard(sources) {
+            // Number of a target, and of a source that knows something of it: of a crowd few do.
+            let mut known_by: Vec<(usize, usize)> = Vec::new();
+            for (nth, (_, origin, source)) in heard.iter().enumerate() {
                 origin.blocks(&source.layer, targets, |number, source| {
                     let (fused, contested) = (&mut fused[number], &mut contested[number]);
                     let (known, new) = (fused.known(), source.known());
+                    known_by.extend((new != [0; 8]).then_some((number, nth)));
                     for z in 0..8 {
                         contested[z] |= known[z] & new[z];
                     }
                     fused.overlay(&source.masked(&core::array::from_fn(|z| !known[z])));
                 });
             }
-            for (((index, mask), mut fused), contested) in targets.iter().zip(fused).zip(contested) {
-                if contested != [0; 8] {
-                    for bit in set_bits(&contested) {
-                        looked += layers;
-                        fused.set(bit, self.winner(sources, mapper, index.voxel(bit)));
-                    }
+            known_by.sort_unstable();
+            for known_by in known_by.chunk_by(|(a, _), (b, _)| a == b) {
+                let number = known_by[0].0;
+                for bit in set_bits(&contested[number]) {
+                    let voxel = targets[number].0.voxel(bit);
+                    let known_by = known_by.iter().map(|(_, nth)| heard[*nth]);
+                    looked += known_by.len();
+                    let last = self.last_observation(known_by, sources.own.origin, mapper, voxel);
+                    fused[number].set(bit, last.map_or(State::Unknown, |(state, _)| state));
                 }
+            }
+            for ((index, mask), fused) in targets.iter().zip(fused) {
                 self.view.write(*index, mask, &fused);
             }
         }
         looked
     }
 
-    /// The state that was observed last on this robot's clock; of those observed together, Occupied.
-    fn winner(&self, sources: &Sources, mapper: &Mapper, voxel: Voxel) -> State {
-        match self.last_observation(sources, mapper, voxel) {
-            None => State::Unknown,
-            Some((true, _)) => State::Occupied,
-            Some((false, _)) => State::Free,
-        }
-    }
-
-    /// Whether it was Occupied, and whose it is; of those that say the same at the same time, the own robot's,
-    /// then that of the lowest id.
-    pub(super) fn last_observation(
+    /// The state that was observed last on this robot's clock, by itself or by these sources, and whose it is; of those
+    /// observed together, Occupied; of those that say the same at the same time, the own robot's, then that of the
+    /// lowest id. O(sources).
+    pub(super) fn last_observation<'a>(
         &self,
-        sources: &Sources,
+        sources: impl Iterator<Item = (RobotId, &'a Origin, &'a Source)>,
+        id_own: RobotId,
         mapper: &Mapper,
         voxel: Voxel,
-    ) -> Option<(bool, RobotId)> {
-        let id_own = sources.own.origin;
+    ) -> Option<(State, RobotId)> {
         let own = mapper.state(voxel);
         let own_stamp = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
         let own = (own != State::Unknown).then(|| {
             let stamp = own_stamp.plus_micros(self.settings.own_priority_micros);
             (stamp, own == State::Occupied, true, Reverse(id_own))
         });
-        let source = self.heard(sources).filter_map(|(id, origin, source)| {
+        let source = sources.filter_map(|(id, origin, source)| {
             let (state, stamp) = origin.look_up(&source.layer, voxel)?;
             let made = source.received.made(stamp, origin.clock_offset_micros);
             Some((made, state == State::Occupied, id == id_own, Reverse(id)))
         });
-        source.chain(own).max().map(|(_, is_occupied, _, Reverse(id))| (is_occupied, id))
+        source.chain(own).max().map(|(_, is_occupied, _, Reverse(id))| {
+            (if is_occupied { State::Occupied } else { State::Free }, id)
+        })
     }
 }

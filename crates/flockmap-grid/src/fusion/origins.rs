@@ -17,8 +17,10 @@ impl Fusion {
         let mut seen = mapper.block(index).map_or([0; 8], |block| block.known());
         let mut contested = [0u64; 8];
         let mut others = BTreeMap::<RobotId, Plane>::new();
-        for (id, origin, source) in self.shown.heard(&self.sources) {
+        let mut known_by = Vec::new();
+        for heard @ (id, origin, source) in self.shown.heard(&self.sources) {
             origin.blocks(&source.layer, &targets, |_, source| {
+                known_by.push(heard);
                 let (new, plane) = (source.known(), others.entry(id).or_default());
                 for z in 0..8 {
                     contested[z] |= seen[z] & new[z];
@@ -30,7 +32,8 @@ impl Fusion {
         for bit in set_bits(&contested) {
             let (word, mask) = (bit / 64, 1 << (bit % 64));
             others.values_mut().for_each(|plane| plane[word] &= !mask);
-            if let Some((_, id)) = self.shown.last_observation(&self.sources, mapper, index.voxel(bit)) {
+            let (known_by, own) = (known_by.iter().copied(), self.sources.own.origin);
+            if let Some((_, id)) = self.shown.last_observation(known_by, own, mapper, index.voxel(bit)) {
                 others.entry(id).or_default()[word] |= mask;
             }
         }

@@ -80,10 +80,8 @@ impl Origin {
         if !self.alignment.is_identity() {
             return self.alignment.blocks(layer, targets, source);
         }
-        for (number, (index, mask)) in targets.iter().enumerate() {
-            if let Some(block) = layer.block(*index) {
-                source(number, block.masked(mask));
-            }
+        for (number, block) in layer.blocks_at(targets.iter().map(|(index, _)| *index)) {
+            source(number, block.masked(&targets[number].1));
         }
     }
 

@@ -203,9 +203,36 @@ impl Layer {
         self.with_block(index, |block| block.states)
     }
 
+    /// The states of blocks of which something is known, with their numbers in the list. What follows each other in a
+    /// cube is looked up once.
+    pub(crate) fn blocks_at<'a>(
+        &'a self,
+        indices: impl Iterator<Item = BlockIndex> + 'a,
+    ) -> impl Iterator<Item = (usize, StateBlock)> + 'a {
+        let mut last = None;
+        indices.enumerate().filter_map(move |(number, index)| {
+            let at = cube_of(index);
+            let place = match last {
+                Some((cube, place)) if cube == at => place,
+                _ => self.cubes.get(&at),
+            };
+            last = Some((at, place));
+            Some((number, self.with_block_in(place?, index, |block| block.states)?))
+        })
+    }
+
     /// Reads a block that is there.
     fn with_block<T>(&self, index: BlockIndex, read: impl FnOnce(&LayerBlock) -> T) -> Option<T> {
-        match self.cubes.get(&cube_of(index))? {
+        self.with_block_in(self.cubes.get(&cube_of(index))?, index, read)
+    }
+
+    fn with_block_in<T>(
+        &self,
+        place: &Place,
+        index: BlockIndex,
+        read: impl FnOnce(&LayerBlock) -> T,
+    ) -> Option<T> {
+        match place {
             Place::Open(open) => open.cube.block(index).map(read),
             Place::Packed(packed) if packed.has(index) => self.unpacked.read(packed).block(index).map(read),
             Place::Packed(_) => None,

@@ -96,6 +96,15 @@ impl PeerStream {
         }
     }
 
+    /// Nothing of it is under way as a snapshot, or wanted, or stayed missing at the last requests.
+    pub(crate) fn wants_nothing(&self) -> bool {
+        self.sending.is_none()
+            && self.snapshot_request.is_none()
+            && self.rest_wanted.is_none()
+            && self.overdue.is_empty()
+            && self.missing_then.1.is_empty()
+    }
+
     /// The peer has confirmed this package. A stream that is too fragmented to note it learns it from the
     /// next request.
     pub(crate) fn note_received(&mut self, index: u32) {

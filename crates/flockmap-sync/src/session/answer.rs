@@ -8,6 +8,7 @@ use crate::item::Item;
 use crate::outbox::Outbox;
 use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, Sending, SentPackage};
 use crate::rate::Arrival;
+use crate::timers::Timer;
 use crate::wire::{DatagramHeader, Request, TransferProgress};
 use crate::{Cast, InFlight, IntervalSet, Relay};
 use core::time::Duration;
@@ -36,16 +37,31 @@ impl Session {
             return;
         }
         let echo = self.take_echoes(now, header, request);
+        self.count_relays(Some(id));
         self.take_holdings(now, header, request);
         self.settle_in_flight(now, id, request, echo);
         let streams: Vec<Stream> = self.store.streams().collect();
         for stream in streams {
+            if self.has_all(id, stream) {
+                continue;
+            }
             // What it says nothing of may have come long ago.
             if request.covers(stream.origin) || request.received.iter().any(|named| named.stream == stream) {
                 self.note_overdue(now, id, stream, request);
             }
             self.review_snapshot(now, id, stream);
         }
+    }
+
+    /// Whether a peer holds all of a stream that this robot holds, and wants no more: of most streams, most of the time.
+    fn has_all(&self, id: RobotId, stream: Stream) -> bool {
+        let theirs = self.peers.get(&id).and_then(|peer| peer.streams.get(&stream));
+        let (Some(theirs), Some(received)) = (theirs, self.store.received(stream)) else { return false };
+        let lacks = |&(low, high): &(u32, u32)| {
+            let low = low.max(theirs.from).max(1);
+            low <= high && !theirs.received.contains_range(low, high)
+        };
+        theirs.wants_nothing() && !received.intervals().iter().any(lacks)
     }
 
     /// Whether a stamp that came so long ago still shows which datagrams are older.
@@ -63,8 +79,9 @@ impl Session {
     ) -> Option<(Stamp, Duration)> {
         let peer = self.peers.get_mut(&header.sender.origin)?;
         peer.request = Some((header.stamp, now));
-        peer.queue_stale = true;
+        peer.plan_anew();
         peer.next_within = ms(request.next_within_ms);
+        self.schedule.timers.set_sooner(Timer::Silence, peer.lost_at(&self.config));
         let hears = request.echoes.iter().map(|echo| (echo.robot, echo.epoch_low));
         if request.is_short {
             for (robot, epoch_low) in hears {
@@ -291,8 +308,10 @@ impl Session {
         peer.loss.sample(confirmed, lost);
 
         for theirs in peer.streams.values_mut() {
-            theirs.received_or_in_flight =
-                theirs.received.with_room(PEER_INTERVALS_MAX + 2 * self.config.in_flight_max);
+            if theirs.received_or_in_flight.intervals() != theirs.received.intervals() {
+                theirs.received_or_in_flight =
+                    theirs.received.with_room(PEER_INTERVALS_MAX + 2 * self.config.in_flight_max);
+            }
             if let Some(sending) = &mut theirs.sending {
                 sending.received_or_in_flight = sending.accepted.clone();
             }
@@ -364,19 +383,29 @@ impl Session {
                     peer.hears(robot) || (is_meeting && self.peers.contains_key(&robot))
                 };
                 let hears_origin = stream.origin != peer.stream.origin && hears(stream.origin);
-                // Whom this robot does not hear stands elsewhere in the swarm, and rarely holds the same.
-                let before = |robot| {
-                    robot < self.identity.own.origin
-                        && robot != stream.origin
-                        && self.peers.contains_key(&robot)
-                };
-                // Of whom a peer hears more than fit into its request it is not known.
-                let others = match peer.hears_all_listed {
-                    true => peer.hears.keys().filter(|robot| before(**robot)).count(),
-                    false => self.peers.keys().filter(|robot| before(**robot)).count(),
-                } as u32;
+                let others =
+                    peer.relays_before.saturating_sub(u32::from(self.is_relay_before(peer, stream.origin)));
                 Some(u32::from(hears_origin) + others)
             }
+        }
+    }
+
+    /// Whether another robot comes before this one where a peer lacks what both have. Whom this robot does not hear stands
+    /// elsewhere in the swarm, and rarely holds the same. Of whom a peer hears more than fit into its request it is not
+    /// known.
+    fn is_relay_before(&self, peer: &Peer, robot: RobotId) -> bool {
+        robot < self.identity.own.origin
+            && self.peers.contains_key(&robot)
+            && (!peer.hears_all_listed || peer.hears.contains_key(&robot))
+    }
+
+    /// Counts for each peer, or for one, who comes before this robot. O(peers) for each.
+    pub(super) fn count_relays(&mut self, of: Option<RobotId>) {
+        let ids: Vec<RobotId> = of.map_or_else(|| self.peers.keys().copied().collect(), |id| vec![id]);
+        for id in ids {
+            let Some(peer) = self.peers.get(&id) else { continue };
+            let count = self.peers.keys().filter(|robot| self.is_relay_before(peer, **robot)).count();
+            self.peers.entry(id).and_modify(|peer| peer.relays_before = count as u32);
         }
     }
 }

@@ -6,6 +6,7 @@ use crate::event::Event;
 use crate::path::Path;
 use crate::peer::{PEER_INTERVALS_MAX, Peer};
 use crate::store::RECEIVED_INTERVALS_MAX;
+use crate::timers::Timer;
 use crate::wire::{
     Datagram, DatagramError, DatagramHeader, Kind, PathMessage, Request, asks_for_request, is_sealed,
     parse_coded, parse_contents, parse_packages,
@@ -167,7 +168,9 @@ impl Session {
             for (at, item) in self.outbox.broadcasts.recent() {
                 peer.cover(item, at, self.config.in_flight_max);
             }
+            self.schedule.timers.set_sooner(Timer::Silence, peer.lost_at(&self.config));
             self.peers.insert(id, peer);
+            self.count_relays(None);
             self.push_event(Event::PeerSeen(stream));
             self.greet(now);
         }

@@ -28,38 +28,53 @@ struct Due {
 impl Session {
     /// Makes the peer's queue anew: the best of what it misses.
     pub(super) fn plan(&mut self, now: Stamp, id: RobotId) {
-        let Some(peer) = self.peers.get_mut(&id) else { return };
-        for stream in self.store.streams() {
-            if peer.wants(stream) {
-                peer.theirs(stream, now);
-            }
-        }
+        self.plan_streams(now, id);
         let Some(peer) = self.peers.get(&id) else { return };
         let queue = self.best_for(now, peer);
         let Some(peer) = self.peers.get_mut(&id) else { return };
         (peer.queue, peer.queue_stale) = (queue, false);
     }
 
-    fn best_for(&self, now: Stamp, peer: &Peer) -> VecDeque<Item> {
-        let (mut due, mut backlog, mut overdue) = (Vec::new(), Vec::new(), Vec::new());
+    /// Finds the streams of which it may have to be sent something. O(streams).
+    fn plan_streams(&mut self, now: Stamp, id: RobotId) {
+        let Some(peer) = self.peers.get_mut(&id).filter(|peer| peer.planned_stale) else { return };
+        let own = self.identity.own.origin;
+        let before = core::mem::take(&mut peer.planned);
         for stream in self.store.streams() {
             if !peer.wants(stream) {
                 continue;
             }
+            let Some(theirs) = peer.theirs(stream, now) else { continue };
+            let is_served = theirs.overdue.is_empty() && theirs.sending.is_none();
+            // Of most streams of a crowd the origin answers, and nothing stayed missing for long. Its own former run a
+            // peer has from others.
+            let is_others = self.config.relay == Relay::Ranked
+                && ![own, peer.stream.origin].contains(&stream.origin)
+                && is_served
+                && peer.hears(stream.origin);
+            if is_others {
+                continue;
+            }
+            peer.planned.push(stream);
+            if !before.contains(&stream) {
+                // What it heard of that lately was not noted.
+                let since = now.plus_micros(-(peer.round_trip.timeout().as_micros() as i64));
+                for (_, from, item) in self.outbox.broadcasts.heard(stream, since) {
+                    self.report.counters.suppressed += u64::from(
+                        peer.hears_too(from) && peer.cover_heard(item, now, 2 * self.config.in_flight_max),
+                    );
+                }
+            }
+        }
+        peer.planned_stale = false;
+    }
+
+    fn best_for(&self, now: Stamp, peer: &Peer) -> VecDeque<Item> {
+        let (mut due, mut backlog, mut overdue) = (Vec::new(), Vec::new(), Vec::new());
+        for &stream in &peer.planned {
             // Without push, a request is answered with what there was when it came.
             let asked_at = peer.request.map_or(Stamp(i64::MIN), |(_, at)| at);
             let Some(theirs) = peer.streams.get(&stream) else { continue };
-            // Of most streams of a crowd: the origin answers, and nothing stayed missing for long.
-            if self.config.relay == Relay::Ranked
-                && stream.origin != self.identity.own.origin
-                // Its own former run a peer has from others.
-                && stream.origin != peer.stream.origin
-                && theirs.overdue.is_empty()
-                && theirs.sending.is_none()
-                && peer.hears(stream.origin)
-            {
-                continue;
-            }
             let upto = self.store.newest_known(stream);
             // What a snapshot or its next pieces bring that is in flight, or being made, is not sent beside it.
             let of_snapshot = match &theirs.sending {

@@ -6,7 +6,7 @@ use crate::inbox::{Intake, Ready, Transfer, Verdict};
 use crate::item::Item;
 use crate::store::NoRoom;
 use crate::wire::Contents;
-use crate::{Cast, IntervalSet, Relay};
+use crate::{Cast, IntervalSet};
 use flockmap_codec::{Codec, ContentKind, Header, Package};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
@@ -70,12 +70,11 @@ impl Session {
             theirs.note_received(index);
         }
         if self.config.cast == Cast::Broadcast {
-            for peer in self.peers.values_mut() {
-                if peer.stream.origin != from && peer.hears_all_listed && peer.hears(from) {
-                    let item = Item::Package { stream, index };
-                    if peer.cover_heard(item, now, 2 * self.config.in_flight_max) {
-                        self.report.counters.suppressed += 1;
-                    }
+            let item = Item::Package { stream, index };
+            self.outbox.broadcasts.note_heard(now, from, item);
+            for peer in self.peers.values_mut().filter(|peer| peer.is_planned(stream)) {
+                if peer.hears_too(from) && peer.cover_heard(item, now, 2 * self.config.in_flight_max) {
+                    self.report.counters.suppressed += 1;
                 }
             }
         }
@@ -231,7 +230,6 @@ impl Session {
             offset.map_or(now, |offset| package.header().batch_end.plus_micros(offset.saturating_neg()));
         let fills_gap =
             self.store.received(stream).and_then(IntervalSet::last).is_some_and(|last| last > index);
-        let peers = self.peers.len();
         match self.store.insert(package, now, fresh_at) {
             Ok(is_new) => {
                 // A span may have waited for this one.
@@ -250,10 +248,7 @@ impl Session {
                 }
                 // Who hears the origin gets it from there, unless it stays missing for long: that a request says.
                 for peer in self.peers.values_mut() {
-                    peer.queue_stale |= self.config.relay != Relay::Ranked
-                        || peer.is_new(now, peers)
-                        || stream.origin == peer.stream.origin
-                        || !peer.hears(stream.origin);
+                    peer.queue_stale |= peer.is_planned(stream);
                 }
                 if is_new {
                     self.mend_with(now, stream, index);

@@ -111,7 +111,6 @@ impl Session {
             // Until its packages are held nothing is known of the stamps of those: they may count later without coming
             // again.
             Some((index, _)) if !holds(index) => by_stamp.max(index),
-            Some((index, stamp)) if lack.upto <= stamp => by_stamp.min(index),
             _ => by_stamp,
         })
     }

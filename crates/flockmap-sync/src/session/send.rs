@@ -36,15 +36,10 @@ impl Session {
             return None;
         }
         let superseded = self.outbox.superseded.take();
-        let after = |id: &&RobotId| **id > self.outbox.served;
-        let ids: Vec<RobotId> = self
-            .peers
-            .keys()
-            .filter(after)
-            .chain(self.peers.keys().filter(|id| !after(id)))
-            .copied()
-            .collect();
-        for id in ids {
+        let served = self.outbox.served;
+        let to_do = self.peers.iter().filter(|(_, peer)| peer.has_to_do()).map(|(id, _)| *id);
+        let (after, before): (Vec<RobotId>, Vec<RobotId>) = to_do.partition(|id| *id > served);
+        for id in after.into_iter().chain(before) {
             match self.attempt(now, id) {
                 Attempt::Send { bytes, items } => {
                     self.outbox.served = id;

@@ -367,7 +367,7 @@ impl Session {
         if let Some(theirs) = peer.streams.get_mut(&outgoing.stream) {
             theirs.begin(outgoing.sending(now));
         }
-        peer.queue_stale = true;
+        peer.plan_anew();
     }
 
     /// By broadcast: whether a snapshot is in flight to somebody else, so that everyone hears it.

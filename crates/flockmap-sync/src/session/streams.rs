@@ -2,7 +2,7 @@
 
 use super::Session;
 use crate::event::Event;
-use crate::peer::is_heard;
+use crate::peer::{Peer, is_heard};
 use crate::store::Opened;
 use flockmap_grid::Stream;
 
@@ -16,6 +16,7 @@ impl Session {
                     self.forget_stream(forgotten);
                 }
                 if is_new {
+                    self.peers.values_mut().for_each(Peer::plan_anew);
                     self.push_event(Event::StreamSeen(stream));
                 }
                 true
@@ -33,7 +34,7 @@ impl Session {
                 peer.note_unplaced(stream);
             }
             peer.in_flight.retain(|sent| sent.item.stream() != stream);
-            peer.queue_stale = true;
+            peer.plan_anew();
         }
         self.inbox.forget(stream);
         // What of it was not polled yet must not be taken for what comes of it from now on.

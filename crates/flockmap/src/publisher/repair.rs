@@ -26,6 +26,7 @@ pub(crate) struct RepairDelay {
     /// When batches were published and the last package of each, oldest first.
     batches: VecDeque<(Stamp, u32)>,
     peers: BTreeMap<Stream, PeerDelay>,
+    calls: u64,
     is_slow: bool,
 }
 
@@ -37,6 +38,10 @@ struct PeerDelay {
     asked_at: Option<Stamp>,
     /// Delay of the newest batches that it holds, oldest first.
     delays: VecDeque<Duration>,
+    /// As of its last request.
+    delay: Option<Duration>,
+    /// The last call in which it was live.
+    seen_in: u64,
 }
 
 impl RepairDelay {
@@ -45,6 +50,7 @@ impl RepairDelay {
             limit: Duration::from_millis(limit_ms.into()),
             batches: VecDeque::new(),
             peers: BTreeMap::new(),
+            calls: 0,
             is_slow: false,
         }
     }
@@ -60,17 +66,17 @@ impl RepairDelay {
     /// Takes in what the peers hold: each live peer with the time of its last request and the index up to
     /// which it lacks nothing. O(peers).
     pub(crate) fn note_received(&mut self, peers: impl Iterator<Item = (Stream, Stamp, u32)>) {
-        let mut live = BTreeMap::new();
+        self.calls += 1;
         for (stream, asked_at, prefix) in peers {
-            let mut peer = self.peers.remove(&stream).unwrap_or_default();
+            let peer = self.peers.entry(stream).or_default();
+            peer.seen_in = self.calls;
             if peer.asked_at.is_none_or(|last| last < asked_at) {
                 peer.note_request(&self.batches, asked_at, prefix);
+                peer.delay = peer.delay(&self.batches);
             }
-            live.insert(stream, peer);
         }
-        self.peers = live;
-        let slowest =
-            self.peers.values().filter_map(|peer| peer.delay(&self.batches)).max().unwrap_or_default();
+        self.peers.retain(|_, peer| peer.seen_in == self.calls);
+        let slowest = self.peers.values().filter_map(|peer| peer.delay).max().unwrap_or_default();
         // Not to and fro: it has to become twice as good.
         let limit = if self.is_slow { self.limit / 2 } else { self.limit };
         self.is_slow = !self.limit.is_zero() && slowest > limit;
