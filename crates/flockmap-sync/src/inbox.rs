@@ -284,6 +284,19 @@ impl Inbox {
         self.chains.has((stream, snapshot_id))
     }
 
+    /// What came of a stream by snapshots may be gone again.
+    pub(crate) fn spoil(&mut self, stream: Stream) {
+        self.chains.spoil(stream);
+        let transfers = self.transfers.iter_mut().filter(|transfer| transfer.stream == stream);
+        transfers.for_each(|transfer| transfer.is_spoiled = true);
+    }
+
+    /// Whether what was read of a snapshot may be gone, and nobody else is sending it: it is to be read anew then.
+    pub(crate) fn is_spoiled(&self, stream: Stream, snapshot_id: u32) -> bool {
+        let is_sent = self.transfers.iter().any(|t| (t.stream, t.snapshot_id) == (stream, snapshot_id));
+        !is_sent && self.chains.is_spoiled((stream, snapshot_id))
+    }
+
     /// What these packages of a stream say is in the map: those that waited, for a verdict or for a snapshot,
     /// need none.
     pub(crate) fn settle(&mut self, stream: Stream, known: &IntervalSet) {

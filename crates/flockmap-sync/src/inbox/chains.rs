@@ -26,6 +26,8 @@ struct Chain {
     /// The first chunk that is not merged yet.
     next: u32,
     waiting: BTreeMap<u32, Package>,
+    /// What was merged of it may be gone again.
+    is_spoiled: bool,
 }
 
 /// Where a chunk stands.
@@ -71,7 +73,7 @@ impl Chains {
                     let ended = self.chains.iter().position(|chain| !is_received(chain.id));
                     dropped = Some(self.chains.remove(ended.unwrap_or(0)).id);
                 }
-                Chain { id, upto, next: 0, waiting: BTreeMap::new() }
+                Chain { id, upto, next: 0, waiting: BTreeMap::new(), is_spoiled: false }
             }
         };
         self.chains.push(chain);
@@ -116,6 +118,17 @@ impl Chains {
     /// Whether there is one.
     pub(crate) fn has(&self, id: ChainId) -> bool {
         self.chains.iter().any(|chain| chain.id == id)
+    }
+
+    /// What was merged of a stream so far may be gone again.
+    pub(crate) fn spoil(&mut self, stream: Stream) {
+        let of_stream = self.chains.iter_mut().filter(|chain| chain.id.0 == stream);
+        of_stream.for_each(|chain| chain.is_spoiled = true);
+    }
+
+    /// Whether what was merged of a snapshot may be gone again.
+    pub(crate) fn is_spoiled(&self, id: ChainId) -> bool {
+        self.chains.iter().any(|chain| chain.id == id && chain.is_spoiled)
     }
 
     /// Lets go of a snapshot.

@@ -119,21 +119,18 @@ impl Session {
     /// stream is read anew then, and any other does not count as all.
     pub(super) fn begin_anew_where_dropped(&mut self, transfer: &mut Transfer) {
         let (stream, snapshot_id) = (transfer.stream, transfer.snapshot_id);
-        if !self.lacks.streams.contains_key(&stream) || !self.inbox.has_read(stream, snapshot_id) {
-            return;
-        }
-        if transfer.is_rest {
+        let is_lacking = self.lacks.streams.contains_key(&stream) && self.inbox.has_read(stream, snapshot_id);
+        if (is_lacking && transfer.is_rest) || self.inbox.is_spoiled(stream, snapshot_id) {
             self.inbox.restart(stream, snapshot_id);
             self.push_event(Event::SnapshotDropped { stream, snapshot_id });
         } else {
-            transfer.is_spoiled = true;
+            transfer.is_spoiled = is_lacking;
         }
     }
 
     /// What snapshots that are coming brought may be gone again.
     fn spoil_transfers(&mut self, stream: Stream) {
-        let transfers = self.inbox.transfers.iter_mut().filter(|transfer| transfer.stream == stream);
-        transfers.for_each(|transfer| transfer.is_spoiled = true);
+        self.inbox.spoil(stream);
         if let Some(lack) = self.lacks.streams.get_mut(&stream) {
             lack.rest = Rest::default();
         }
