@@ -49,7 +49,9 @@ impl Session {
             if request.covers(stream.origin) || request.received.iter().any(|named| named.stream == stream) {
                 self.note_overdue(now, id, stream, request);
             }
-            self.review_snapshot(now, id, stream);
+            if !self.is_others(id, stream) {
+                self.review_snapshot(now, id, stream);
+            }
         }
     }
 
@@ -62,6 +64,18 @@ impl Session {
             low <= high && !theirs.received.contains_range(low, high)
         };
         theirs.wants_nothing() && !received.intervals().iter().any(lacks)
+    }
+
+    /// Whether what a peer lacks of a stream is its origin's to send, and nothing of it stayed missing.
+    fn is_others(&self, id: RobotId, stream: Stream) -> bool {
+        let Some(peer) = self.peers.get(&id) else { return false };
+        let is_relay = peer.streams.get(&stream).is_some_and(|theirs| {
+            theirs.sending.is_none()
+                && theirs.snapshot_request.is_none()
+                && theirs.rest_wanted.is_none()
+                && theirs.overdue.is_empty()
+        });
+        is_relay && self.relay_rank(peer, stream).is_some_and(|rank| rank > 0)
     }
 
     /// Whether a stamp that came so long ago still shows which datagrams are older.
