@@ -59,6 +59,8 @@ pub struct Counters {
     pub suppressed: u64,
     /// Requests that went out because of a gap.
     pub gap_requests: u64,
+    /// Requests that were due because packages were missing, and waited since others had just asked for all of them.
+    pub gaps_asked_by_others: u64,
     /// Times that the byte budget made something wait.
     pub delayed_by_budget: u64,
     /// Times that sending to a peer waited because too much was unconfirmed.

@@ -11,6 +11,11 @@ pub(crate) struct Schedule {
     random: u64,
     /// Requests for gaps since one was filled last, or a new one was seen.
     pub(crate) gap_tries: u32,
+    /// Where many lack the same, one after the other asks: how much later than it could this robot does, in parts of
+    /// [`GAP_SLOTS`](Self::GAP_SLOTS) of the pause between two requests.
+    pub(crate) gap_slot: u64,
+    /// Requests for gaps that others' took the place of, since one went out.
+    pub(crate) gaps_asked_by_others: u32,
     pub(crate) probes_left: u8,
     /// Greetings that followed each other.
     pub(crate) greetings: u32,
@@ -35,6 +40,8 @@ pub(crate) struct Schedule {
 }
 
 impl Schedule {
+    pub(crate) const GAP_SLOTS: u64 = 64;
+
     /// The first request is due at once.
     pub(crate) fn new(seed: u64) -> Self {
         let never = Stamp(i64::MIN);
@@ -44,6 +51,8 @@ impl Schedule {
             timers,
             random: seed,
             gap_tries: 0,
+            gap_slot: seed % Self::GAP_SLOTS,
+            gaps_asked_by_others: 0,
             probes_left: 0,
             greetings: 0,
             last: never,
@@ -58,6 +67,11 @@ impl Schedule {
             superseded: None,
             superseded_sent: None,
         }
+    }
+
+    /// Another place among those who lack the same.
+    pub(crate) fn draw_gap_slot(&mut self) {
+        self.gap_slot = self.random(Self::GAP_SLOTS);
     }
 
     /// A span below this one.

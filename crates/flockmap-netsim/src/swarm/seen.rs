@@ -18,6 +18,7 @@ pub(super) fn add_counters(seen: &mut Seen, robot: &Robot) {
         ("found lost and sent again", s.lost),
         ("filled a gap", s.repaired),
         ("requests for a gap", s.gap_requests),
+        ("requests for a gap left to others", s.gaps_asked_by_others),
         ("arrived twice", s.duplicates),
         ("requests superseded", s.stale_requests),
         ("damaged and noticed", s.damaged),

@@ -48,6 +48,8 @@ pub(crate) struct Sending {
 pub(crate) struct PeerStream {
     /// Nothing is known below this index.
     pub(crate) from: u32,
+    /// When it was named in a request last.
+    pub(crate) stated_at: Stamp,
     /// What the peer stated to hold, or sent itself.
     pub(crate) received: IntervalSet,
     /// Those and the ones in flight: what need not be sent now. It has room for both; and those that a full
@@ -84,6 +86,7 @@ impl PeerStream {
     pub(crate) const fn new(from: u32, now: Stamp) -> Self {
         Self {
             from,
+            stated_at: Stamp(i64::MIN),
             received: IntervalSet::new(PEER_INTERVALS_MAX),
             received_or_in_flight: IntervalSet::new(PEER_INTERVALS_MAX),
             overdue: IntervalSet::new(PEER_INTERVALS_MAX),

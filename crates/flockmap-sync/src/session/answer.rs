@@ -184,6 +184,7 @@ impl Session {
             let Some(peer) = self.peers.get_mut(&id) else { return };
             let theirs =
                 peer.streams.entry(stated.stream).or_insert_with(|| PeerStream::new(stated.from, now));
+            theirs.stated_at = now;
             theirs.in_part = stated.in_part.map(|in_part| in_part.wants_independent);
             let rest = stated.in_part.and_then(|in_part| in_part.rest);
             theirs.rest_wanted = rest.filter(|rest| rest.holder == own);

@@ -3,7 +3,9 @@
 use super::Session;
 use crate::config::ms;
 use crate::event::Destination;
+use crate::Cast;
 use crate::peer::{Peer, SMALL_SWARM};
+use crate::schedule::Schedule;
 use crate::timers::Timer;
 use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -26,6 +28,10 @@ const ACTIVE_TRIES: u32 = 64;
 const GAP_PAUSE_MAX: Duration = Duration::from_secs(60);
 /// Requests in which the peers are made to look whether the end of a burst is lost.
 const PROBES: u8 = 2;
+/// Others' requests take the place of so many of this robot's in turn.
+const ASKED_BY_OTHERS_MAX: u32 = 1;
+/// Within which those who lack the same ask one after the other.
+const GAP_DELAY_MAX: Duration = Duration::from_millis(100);
 /// Packages that follow this soon make a probe needless.
 const PROBE_AFTER: Duration = Duration::from_millis(120);
 /// Share of losses above which that is worth a datagram; below, the next packages show it soon enough.
@@ -89,7 +95,7 @@ impl Session {
         let variation = others.map(|peer| peer.round_trip.variation()).max().unwrap_or_default();
         let patience = self.config.patience(variation);
         let at = now.plus(patience).max(self.schedule.last.plus(self.gap_pause(except)));
-        self.schedule.timers.set_sooner(Timer::Gap, at);
+        self.schedule.timers.set_sooner(Timer::Gap, at.plus(self.gap_delay()));
     }
 
     /// Pause between two requests for gaps: an answer needs the round trip at least.
@@ -100,6 +106,44 @@ impl Session {
         let shortest = ms(self.config.gap_request_pause_ms).max(round_trip);
         let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
         shortest.saturating_mul(1 << doublings).min(GAP_PAUSE_MAX).max(self.schedule.short_pause)
+    }
+
+    /// How much later than it could this robot asks for what is missing, since others of a crowd may lack the same and ask
+    /// first (as in SRM, Floyd et al. 1997).
+    fn gap_delay(&self) -> Duration {
+        if self.config.cast == Cast::Unicast || self.peers.len() <= SMALL_SWARM {
+            return Duration::ZERO;
+        }
+        self.gap_pause_least().min(GAP_DELAY_MAX) * self.schedule.gap_slot as u32 / Schedule::GAP_SLOTS as u32
+    }
+
+    fn gap_pause_least(&self) -> Duration {
+        let round_trip = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
+        ms(self.config.gap_request_pause_ms).max(round_trip)
+    }
+
+    /// Whether others have just asked for all that is missing here: the answer is for everyone.
+    fn is_asked_by_others(&self, now: Stamp) -> bool {
+        if self.config.cast == Cast::Unicast
+            || self.peers.len() <= SMALL_SWARM
+            || self.schedule.gaps_asked_by_others >= ASKED_BY_OTHERS_MAX
+        {
+            return false;
+        }
+        let since = now.plus_micros(-(self.gap_pause_least().min(GAP_DELAY_MAX).as_micros() as i64));
+        self.gaps(now).all(|stream| {
+            let is_asked = |(low, high): (u32, u32)| {
+                self.peers.values().any(|peer| {
+                    let theirs = peer.streams.get(&stream).filter(|theirs| theirs.stated_at >= since);
+                    theirs.is_some_and(|theirs| theirs.received.within(low, high).is_empty())
+                        && peer.hears(stream.origin)
+                })
+            };
+            let received = self.stated_as_received(stream, now);
+            !self.inbox.undecodable().contains_key(&stream)
+                && !self.inbox.transfers.iter().any(|transfer| transfer.stream == stream)
+                && received.missing(1, self.store.newest_known(stream)).all(is_asked)
+        })
     }
 
     /// A gap was filled: answers come, so what is still missing is worth asking for soon.
@@ -132,6 +176,13 @@ impl Session {
         if self.schedule.timers.is_due(Timer::Gap, now) && !self.has_gap(now) {
             self.schedule.timers.stop(Timer::Gap);
             self.schedule.gap_tries = 0;
+        }
+        if self.schedule.timers.is_due(Timer::Gap, now) && self.is_asked_by_others(now) {
+            self.schedule.gaps_asked_by_others += 1;
+            self.schedule.draw_gap_slot();
+            self.report.counters.gaps_asked_by_others += 1;
+            let at = now.plus(self.gap_pause(None)).plus(self.gap_delay());
+            self.schedule.timers.set(Timer::Gap, at);
         }
         if self.schedule.timers.is_due(Timer::Probe, now) && !self.is_waiting_for_request(now) {
             self.schedule.timers.stop(Timer::Probe);
@@ -203,6 +254,8 @@ impl Session {
             }
         }
         self.schedule.last = now;
+        self.schedule.gaps_asked_by_others = 0;
+        self.schedule.draw_gap_slot();
         self.schedule.count = self.schedule.count.wrapping_add(1);
         if for_gap {
             self.report.counters.gap_requests += 1;
@@ -214,7 +267,7 @@ impl Session {
             let pause = self.gap_pause(None);
             let periodic = ms(self.config.request_period_active_ms).max(self.schedule.budget_pause);
             match pause < periodic {
-                true => self.schedule.timers.set(Timer::Gap, now.plus(pause)),
+                true => self.schedule.timers.set(Timer::Gap, now.plus(pause).plus(self.gap_delay())),
                 false => self.schedule.timers.stop(Timer::Gap),
             }
         }
