@@ -31,6 +31,8 @@ pub(crate) struct Schedule {
     pub(crate) last_activity: Stamp,
     /// Requests made: lists that do not fit begin at another place each time.
     pub(crate) count: usize,
+    /// Whole ones that went out to everyone.
+    pub(crate) wholes: u32,
     /// The first origin that the next request covers; and how often all were.
     pub(crate) cursor: RobotId,
     pub(crate) rounds: u32,
@@ -62,6 +64,7 @@ impl Schedule {
             last_whole: never,
             last_activity: never,
             count: 0,
+            wholes: 0,
             cursor: RobotId(0),
             rounds: 0,
             superseded: None,

@@ -289,7 +289,7 @@ impl Store {
     }
 
     /// The runs of a robot that are here, oldest first.
-    fn runs(&self, origin: RobotId) -> impl DoubleEndedIterator<Item = Stream> + '_ {
+    pub(crate) fn runs(&self, origin: RobotId) -> impl DoubleEndedIterator<Item = Stream> + '_ {
         let run = |epoch| Stream { origin, epoch };
         self.streams.range(run(0)..=run(u64::MAX)).map(|(stream, _)| *stream)
     }

@@ -128,6 +128,8 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
                 age_micros: random.next() as u32,
             })
             .collect(),
+        epochs_low: random.happens(0.5),
+        received_low: Vec::new(),
         received: (0..random.below(4)).map(|_| received(random)).collect(),
         transfers: (0..random.below(3))
             .map(|_| TransferProgress {

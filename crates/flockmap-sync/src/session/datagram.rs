@@ -102,7 +102,15 @@ impl Session {
         // All of it is read before any of it counts.
         match header.kind {
             Kind::Request => {
-                let request = Request::parse(&datagram, PEER_INTERVALS_MAX)?;
+                let mut request = Request::parse(&datagram, PEER_INTERVALS_MAX)?;
+                request.find_runs(|origin, low| {
+                    let sender = Some(header.sender).filter(|sender| sender.origin == origin);
+                    let runs = self
+                        .store
+                        .runs(origin)
+                        .chain(sender.filter(|run| self.store.received(*run).is_none()));
+                    runs.filter(|run| run.epoch as u16 == low).collect()
+                });
                 if let Err(unheard) = self.hear(now, &header, path, bytes.len()) {
                     self.note_own_runs(now, &request);
                     return Err(unheard);

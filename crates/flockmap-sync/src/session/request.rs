@@ -21,6 +21,9 @@ const REQUEST_BYTES_MIN: usize = 280;
 /// budget.
 const SEALED_REQUEST_BYTES_MIN: usize = 299;
 
+/// Of so many whole requests of a robot in a crowd one names runs in full.
+const WHOLES_IN_FULL: u32 = 3;
+
 impl Session {
     pub(super) fn transmit_request(&mut self, now: Stamp) -> Option<Transmit> {
         self.finish_transfers(now);
@@ -52,6 +55,7 @@ impl Session {
             peer.traffic_out.add(1, each);
         }
         if to == Destination::Everyone && !is_short {
+            self.schedule.wholes = self.schedule.wholes.wrapping_add(1);
             self.move_cursor(origins);
         }
         if to == Destination::Everyone {
@@ -126,8 +130,8 @@ impl Session {
         let is_asked = |robot| request.received.iter().any(|received| received.stream.origin == robot);
         let is_met = |robot| self.peers.get(&robot).is_some_and(|peer| is_greeting && !peer.is_greeted);
         request.echoes.retain(|echo| is_asked(echo.robot) || is_met(echo.robot));
-        let clocks = Vec::new();
-        (Request { is_short: true, origins: None, all_echoes: false, clocks, ..request }, urgent)
+        let (clocks, epochs_low) = (Vec::new(), self.schedule.superseded.is_none());
+        (Request { is_short: true, origins: None, all_echoes: false, epochs_low, clocks, ..request }, urgent)
     }
 
     /// What there is to say; and how many of the lists of held indices are urgent: the own one, and those
@@ -166,11 +170,20 @@ impl Session {
             next_within_ms: self.next_within_ms(),
             echoes,
             received,
+            epochs_low: self.epochs_low(),
+            received_low: Vec::new(),
             transfers,
             clocks: self.clock_reports(),
             snapshot_requests: self.snapshot_requests(now),
         };
         (request, urgent)
+    }
+
+    /// Whether the next request names runs by the low bits of their epochs. In a crowd those that are named are known to
+    /// most; every third whole request names them in full.
+    fn epochs_low(&self) -> bool {
+        let is_crowd = self.peers.len() > SMALL_SWARM && self.schedule.superseded.is_none();
+        is_crowd && !self.schedule.wholes.is_multiple_of(WHOLES_IN_FULL)
     }
 
     /// The lists of held indices in the order in which they are to be written, and how many of them are

@@ -1,9 +1,9 @@
 //! When requests go out.
 
 use super::Session;
+use crate::Cast;
 use crate::config::ms;
 use crate::event::Destination;
-use crate::Cast;
 use crate::peer::{Peer, SMALL_SWARM};
 use crate::schedule::Schedule;
 use crate::timers::Timer;
@@ -254,8 +254,10 @@ impl Session {
             }
         }
         self.schedule.last = now;
-        self.schedule.gaps_asked_by_others = 0;
-        self.schedule.draw_gap_slot();
+        if self.peers.len() > SMALL_SWARM {
+            self.schedule.gaps_asked_by_others = 0;
+            self.schedule.draw_gap_slot();
+        }
         self.schedule.count = self.schedule.count.wrapping_add(1);
         if for_gap {
             self.report.counters.gap_requests += 1;

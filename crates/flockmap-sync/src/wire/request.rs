@@ -16,6 +16,8 @@ const SNAPSHOT_REQUEST: u8 = 6;
 const RECEIVED_FROM_OLDEST: u8 = 7;
 const RECEIVED_IN_PART: u8 = 8;
 const NEXT_WITHIN: u8 = 9;
+const RECEIVED_LOW: u8 = 10;
+const RECEIVED_UPTO: u8 = 11;
 
 const ALL_ORIGINS: u8 = 1;
 const ALL_ECHOES: u8 = 2;
@@ -68,6 +70,17 @@ pub struct Received {
     pub from: u32,
     /// The indices held, none of them below `from`.
     pub received: IntervalSet,
+}
+
+impl Received {
+    /// The newest package, where all before it are held and no more is to be said.
+    fn without_gap(&self) -> Option<u32> {
+        let is_plain = self.in_part.is_none() && !self.is_oldest_wanted && self.from == 1;
+        match self.received.intervals() {
+            &[(1, newest)] if is_plain => Some(newest),
+            _ => None,
+        }
+    }
 }
 
 /// Origins of which a request names every run that the sender holds something of: what it does not name of
@@ -192,6 +205,11 @@ pub struct Request {
     /// What the sender holds. To be written: what matters most first, then all runs by their origins, in the
     /// order of `origins`.
     pub received: Vec<Received>,
+    /// Of these, lists of which nothing more is to be said are written with the low 16 bits of the epoch: who knows the
+    /// run knows which one is meant.
+    pub epochs_low: bool,
+    /// What was read like that, and is still to be [given its run](Self::find_runs): the epochs are the low bits.
+    pub received_low: Vec<Received>,
     /// The snapshots that it is receiving.
     pub transfers: Vec<TransferProgress>,
     /// What it knows of others' clocks.
@@ -223,6 +241,10 @@ impl Request {
                 RECEIVED | RECEIVED_FROM_OLDEST | RECEIVED_IN_PART => {
                     (request.read_received(&mut reader, id, intervals_max), "list of held indices")
                 }
+                RECEIVED_UPTO => {
+                    (request.read_received_upto(&mut reader, intervals_max), "streams without a gap")
+                }
+                RECEIVED_LOW => (request.read_received_low(&mut reader, intervals_max), "list by low epoch"),
                 TRANSFER => (request.read_transfer(&mut reader, intervals_max), "transfer"),
                 ORIGINS => (request.read_origins(&mut reader), "range of origins"),
                 NEXT_WITHIN => (request.read_next_within(&mut reader), "time to the next request"),
@@ -268,6 +290,38 @@ impl Request {
         let (from, received) = read_intervals(reader, intervals_max)?;
         self.received.push(Received { stream, is_oldest_wanted, in_part, from, received });
         Some(())
+    }
+
+    fn read_received_low(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
+        let (origin, epoch) = (RobotId(reader.varint_u16()?), u64::from(reader.u16()?));
+        let (stream, is_oldest_wanted, in_part) = (Stream { origin, epoch }, false, None);
+        let (from, received) = read_intervals(reader, intervals_max)?;
+        self.received_low.push(Received { stream, is_oldest_wanted, in_part, from, received });
+        Some(())
+    }
+
+    fn read_received_upto(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
+        while !reader.is_empty() {
+            let (origin, epoch) = (RobotId(reader.varint_u16()?), u64::from(reader.u16()?));
+            let upto = reader.varint_u32().filter(|upto| *upto > 0)?;
+            let (stream, is_oldest_wanted, in_part) = (Stream { origin, epoch }, false, None);
+            let received = IntervalSet::from_intervals(intervals_max, vec![(1, upto)]);
+            self.received_low.push(Received { stream, is_oldest_wanted, in_part, from: 1, received });
+        }
+        Some(())
+    }
+
+    /// Gives lists that came with the low bits of an epoch the run that is meant: the only one that is known with these.
+    /// Of one that is not known nothing is taken in. Where several are, the request says nothing of runs that it does
+    /// not name in full.
+    pub fn find_runs(&mut self, runs: impl Fn(RobotId, u16) -> Vec<Stream>) {
+        for received in core::mem::take(&mut self.received_low) {
+            match runs(received.stream.origin, received.stream.epoch as u16)[..] {
+                [] => {}
+                [stream] => self.received.push(Received { stream, ..received }),
+                _ => self.origins = None,
+            }
+        }
     }
 
     fn read_transfer(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
@@ -418,30 +472,40 @@ impl Request {
         let fits = rest
             .iter()
             .filter(|received| !is_urgent(received))
-            .all(|received| put_received(&mut trial, received, half));
+            .all(|received| put_received(&mut trial, received, self.epochs_low, half));
         let urgent_end = end.saturating_sub(if fits { trial.len() } else { half });
         let mut named = Vec::with_capacity(urgent.len());
         for received in urgent {
-            if put_received(out, received, urgent_end) {
+            if put_received(out, received, self.epochs_low, urgent_end) {
                 named.push(received.stream);
             }
         }
         let OriginRange { first, .. } = self.origins.unwrap_or(OriginRange::all_from(RobotId(0)));
         let mut next = first;
+        // Those of which nothing is missing share a record.
+        let mut upto = Vec::new();
         // Only of lists that are in order can be said how far they go.
         let is_in_order = rest.is_sorted_by_key(|received| received.stream.origin.0.wrapping_sub(first.0));
         for runs in rest.chunk_by(|a, b| a.stream.origin == b.stream.origin) {
             let origin = runs[0].stream.origin;
-            let before = out.len();
+            let before = (out.len(), upto.len());
             let mut all_fit = true;
             for received in runs.iter().filter(|received| !named.contains(&received.stream)) {
-                all_fit &= put_received(out, received, end);
+                let room = end.saturating_sub(record_len(upto.len()));
+                all_fit &= match received.without_gap().filter(|_| self.epochs_low) {
+                    Some(newest) => {
+                        put_upto(&mut upto, received.stream, newest, end.saturating_sub(out.len()))
+                    }
+                    None => put_received(out, received, self.epochs_low, room),
+                };
             }
             if !all_fit {
                 if next != first {
                     // It is the first one next time.
-                    out.truncate(before);
+                    out.truncate(before.0);
+                    upto.truncate(before.1);
                 }
+                put_unless_empty(out, RECEIVED_UPTO, &mut upto);
                 let last = RobotId(origin.0.wrapping_sub(1));
                 return self
                     .origins
@@ -450,6 +514,7 @@ impl Request {
             }
             next = RobotId(origin.0.wrapping_add(1));
         }
+        put_unless_empty(out, RECEIVED_UPTO, &mut upto);
         self.origins
     }
 
@@ -494,8 +559,27 @@ pub(super) fn put_list(
     fits
 }
 
-fn put_received(out: &mut Vec<u8>, received: &Received, end: usize) -> bool {
+/// Appends a stream of which packages 1 to `newest` are held to the content of a record, if that fits into `room` then.
+fn put_upto(content: &mut Vec<u8>, stream: Stream, newest: u32, room: usize) -> bool {
+    let before = content.len();
+    put_varint(content, u64::from(stream.origin.0));
+    content.extend((stream.epoch as u16).to_le_bytes());
+    put_varint(content, u64::from(newest));
+    let fits = record_len(content.len()) <= room;
+    if !fits {
+        content.truncate(before);
+    }
+    fits
+}
+
+fn put_received(out: &mut Vec<u8>, received: &Received, epochs_low: bool, end: usize) -> bool {
     let mut content = Vec::new();
+    let Stream { origin, epoch } = received.stream;
+    if epochs_low && received.in_part.is_none() && !received.is_oldest_wanted && epoch > u64::from(u16::MAX) {
+        put_varint(&mut content, u64::from(origin.0));
+        content.extend((epoch as u16).to_le_bytes());
+        return put_list(out, RECEIVED_LOW, &mut content, received.from, &received.received, end);
+    }
     put_stream(&mut content, received.stream);
     let id = match received.in_part {
         Some(InPart { wants_independent, rest }) => {
