@@ -155,6 +155,12 @@ impl Outbox {
         budget.max(self.rate.as_mut().and_then(|rate| rate.wait(now, bytes)))
     }
 
+    /// As [`Self::wait`], for packages.
+    pub(crate) fn wait_with_packages(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
+        let echo = self.rate.as_ref().and_then(|rate| rate.wait_for_echo(now, bytes));
+        self.wait(now, bytes).max(echo)
+    }
+
     /// Counts bytes as sent.
     pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
         self.radio.iter_mut().for_each(|radio| radio.spend(now, bytes));

@@ -23,6 +23,14 @@ const TARGET: i64 = 100_000;
 /// … and the time of two full datagrams, at most this.
 const TARGET_MAX: i64 = 2_000_000;
 const FULL_DATAGRAM: i64 = 1_228;
+/// Bytes of packages that may be out of which no peer has said yet that they have arrived: at first; later as many as in
+/// two seconds. As long as no queue stood, it grows by what has arrived.
+const UNECHOED_MIN: u64 = 8_000;
+/// Beyond that, so many for each second since the newest that has arrived was sent, so that nothing ends where no peer says
+/// anything, or late.
+const UNHEARD_BYTES_PER_S: u64 = 1_300;
+/// Looked at again after so long.
+const ECHO_PAUSE: Duration = Duration::from_millis(20);
 const SECOND: i64 = 1_000_000;
 /// The rate is set anew after so many samples, over so long …
 const OWN_SAMPLES: u32 = 3;
@@ -67,12 +75,15 @@ impl QueueingDelay {
 #[derive(Clone, Debug, Default)]
 struct SentLog {
     bytes: u64,
-    /// At most [`LOG_MAX`], not nearer to each other than [`LOG_GRAIN`].
+    /// At most [`LOG_MAX`], not nearer to each other than [`LOG_GRAIN`], and the farther apart the older they are: of a
+    /// day some 400.
     points: VecDeque<(Stamp, u64)>,
 }
 
 const LOG_MAX: usize = 512;
 const LOG_GRAIN: i64 = 50_000;
+/// Nor than their age by this.
+const LOG_PRECISION: i64 = 32;
 
 impl SentLog {
     fn add(&mut self, now: Stamp, bytes: u64) {
@@ -82,7 +93,14 @@ impl SentLog {
             _ => self.points.push_back((now, self.bytes)),
         }
         if self.points.len() > LOG_MAX {
-            self.points.pop_front();
+            let mut kept = Stamp(i64::MIN);
+            self.points.retain(|(at, _)| {
+                let is_kept = at.micros_since(kept) >= now.micros_since(*at) / LOG_PRECISION;
+                kept = if is_kept { *at } else { kept };
+                is_kept
+            });
+            // Of days.
+            self.points.drain(..self.points.len().saturating_sub(LOG_MAX));
         }
     }
 
@@ -150,6 +168,11 @@ pub(crate) struct Rate {
     capacity: i64,
     /// Own bytes a second that arrived, by the last echoes.
     delivery_rate: Option<u32>,
+    /// Bytes sent up to the newest own datagram of which a peer said that it has arrived, and when that one was sent.
+    echoed: u64,
+    echoed_upto: Option<Stamp>,
+    /// Most bytes that may be out without such a word, as long as no queue stood.
+    window_bytes: u64,
 }
 
 /// What may go out at once.
@@ -169,7 +192,28 @@ impl Rate {
             newest_own: Stamp(i64::MIN),
             capacity: 0,
             delivery_rate: None,
+            echoed: 0,
+            echoed_upto: None,
+            window_bytes: UNECHOED_MIN,
         }
+    }
+
+    /// `None` if a datagram of packages may be sent as far as it is known what has arrived of those before, else when that
+    /// is to be looked at again.
+    pub(crate) fn wait_for_echo(&self, now: Stamp, bytes: usize) -> Option<Stamp> {
+        let out = self.log.bytes - self.echoed + bytes as u64;
+        let since = self.echoed_upto.map_or(0, |upto| now.micros_since(upto).clamp(0, 1 << 40) as u64);
+        let beyond = UNHEARD_BYTES_PER_S * since / SECOND as u64;
+        (out > self.unechoed_max() + beyond).then(|| now.plus(ECHO_PAUSE))
+    }
+
+    /// Whether it is time to ask what has arrived, with so many bytes more.
+    pub(crate) fn is_echo_wanted(&self, bytes: usize) -> bool {
+        self.log.bytes - self.echoed + 2 * bytes as u64 > self.unechoed_max()
+    }
+
+    fn unechoed_max(&self) -> u64 {
+        if self.in_slow_start { self.window_bytes } else { UNECHOED_MIN.max(2 * u64::from(self.bytes_per_s)) }
     }
 
     /// No queue stood yet.
@@ -190,6 +234,7 @@ impl Rate {
     pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
         self.bucket.spend(now, bytes);
         self.log.add(now, bytes as u64);
+        self.echoed_upto.get_or_insert(now);
     }
 
     /// A datagram of another robot was heard, which had queued for so long; `None`: not known.
@@ -209,6 +254,10 @@ impl Rate {
         before: Option<Arrival>,
         queued: Option<i64>,
     ) {
+        if let Some(echoed) = self.log.upto(arrival.sent).filter(|echoed| *echoed > self.echoed) {
+            self.window_bytes = (self.window_bytes + echoed - self.echoed).min(1 << 30);
+            (self.echoed, self.echoed_upto) = (echoed, Some(arrival.sent));
+        }
         let passed = before.map(|before| (before, arrival.arrived.micros_since(before.arrived)));
         if let Some((before, passed)) =
             passed.filter(|(_, passed)| (SECOND / 4..60 * SECOND).contains(passed))

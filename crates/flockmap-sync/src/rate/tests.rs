@@ -180,3 +180,56 @@ fn stamps_that_make_no_sense_do_no_harm() {
         }
     }
 }
+
+fn arrival(sent: i64, now: i64) -> Arrival {
+    Arrival { sent: Stamp(sent), arrived: Stamp(now) }
+}
+
+/// Sends full datagrams until the rate says wait for an echo; how many.
+fn send_all(rate: &mut Rate, now: Stamp) -> u64 {
+    let mut sent = 0;
+    while rate.wait_for_echo(now, 1_000).is_none() {
+        rate.spend(now, 1_000);
+        sent += 1;
+    }
+    sent
+}
+
+#[test]
+fn what_is_out_without_an_echo_is_little_at_first_and_grows_by_what_has_arrived() {
+    let mut rate = Rate::new();
+    assert_eq!(send_all(&mut rate, Stamp(0)), 8);
+    assert!(rate.is_echo_wanted(1_000));
+    for round in 0..5 {
+        let at = round * 100_000;
+        rate.note_arrival(Stamp(at + 50_000), arrival(at, at + 20_000), None, None);
+        assert_eq!(send_all(&mut rate, Stamp(at + 100_000)), 16 << round);
+    }
+}
+
+#[test]
+fn where_nobody_says_what_has_arrived_a_datagram_a_second_goes_on() {
+    let mut rate = Rate::new();
+    send_all(&mut rate, Stamp(0));
+    let sent: u64 = (1..=60).map(|second| send_all(&mut rate, Stamp(second * SECOND))).sum();
+    assert!((60..=80).contains(&sent), "{sent}");
+    // What is said of long ago is as good as nothing new.
+    rate.note_arrival(Stamp(61 * SECOND), arrival(0, 0), None, None);
+    assert!(send_all(&mut rate, Stamp(62 * SECOND)) > 0);
+    assert!(send_all(&mut rate, Stamp(64 * SECOND)) > 0);
+}
+
+#[test]
+fn the_log_of_what_was_sent_reaches_back_for_hours_in_little_memory() {
+    let mut log = SentLog::default();
+    for tick in 0..200_000 {
+        log.add(Stamp(tick * LOG_GRAIN), 10);
+        assert!(log.points.len() <= LOG_MAX);
+    }
+    let now = 199_999 * LOG_GRAIN;
+    for (age, off) in [(SECOND, 20), (10 * SECOND, 140), (600 * SECOND, 8_000), (3_600 * SECOND, 48_000)] {
+        let bytes = log.upto(Stamp(now - age)).unwrap() as i64;
+        let exact = (now - age) / LOG_GRAIN * 10 + 10;
+        assert!((exact - off..=exact).contains(&bytes), "{age}: {bytes} of {exact}");
+    }
+}

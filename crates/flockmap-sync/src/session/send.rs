@@ -4,6 +4,7 @@ use super::Session;
 use crate::Cast;
 use crate::event::{Destination, Transmit};
 use crate::item::Item;
+use crate::peer::SMALL_SWARM;
 use crate::timers::Timer;
 use crate::wire::{Kind, PackagesWriter};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -103,7 +104,7 @@ impl Session {
         let cost = writer.bytes() + self.overhead(Kind::Packages);
         let Some(peer) = self.peers.get_mut(&id) else { return Attempt::Nothing };
         let link = peer.pacer.as_mut().and_then(|pacer| pacer.wait(now, cost));
-        let radio = self.outbox.wait(now, cost);
+        let radio = self.outbox.wait_with_packages(now, cost);
         if let Some(ready) = link.max(radio) {
             self.schedule.timers.set_sooner(Timer::Budget, ready);
             self.report.counters.delayed_by_budget += 1;
@@ -180,7 +181,9 @@ impl Session {
         if let Some(at) = repairs_at.filter(|_| is_held) {
             self.schedule.timers.set_sooner(Timer::Budget, at);
         }
-        if positions.len() == room && !positions.is_empty() {
+        let is_echo_wanted = self.peers.len() <= SMALL_SWARM
+            && self.outbox.rate.as_ref().is_some_and(|rate| rate.is_echo_wanted(writer.bytes()));
+        if (positions.len() == room || is_echo_wanted) && !positions.is_empty() {
             writer.ask_for_request();
         }
         (writer, positions)

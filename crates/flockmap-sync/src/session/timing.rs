@@ -32,6 +32,8 @@ const PROBES: u8 = 2;
 const ASKED_BY_OTHERS_MAX: u32 = 1;
 /// Within which those who lack the same ask one after the other.
 const GAP_DELAY_MAX: Duration = Duration::from_millis(100);
+/// Where an answer takes longer, a request left to others could be late by far more than it spares.
+const ASKING_IN_TURN_MAX: Duration = Duration::from_millis(500);
 /// Packages that follow this soon make a probe needless.
 const PROBE_AFTER: Duration = Duration::from_millis(120);
 /// Share of losses above which that is worth a datagram; below, the next packages show it soon enough.
@@ -111,10 +113,18 @@ impl Session {
     /// How much later than it could this robot asks for what is missing, since others of a crowd may lack the same and ask
     /// first (as in SRM, Floyd et al. 1997).
     fn gap_delay(&self) -> Duration {
-        if self.config.cast == Cast::Unicast || self.peers.len() <= SMALL_SWARM {
+        if !self.asks_in_turn() {
             return Duration::ZERO;
         }
         self.gap_pause_least().min(GAP_DELAY_MAX) * self.schedule.gap_slot as u32 / Schedule::GAP_SLOTS as u32
+    }
+
+    /// Whether those who lack the same ask one after the other: many who hear each other, on a radio fast enough that one
+    /// hears another's request before its own is on the air.
+    fn asks_in_turn(&self) -> bool {
+        self.config.cast == Cast::Broadcast
+            && self.peers.len() > SMALL_SWARM
+            && self.gap_pause_least() <= ASKING_IN_TURN_MAX
     }
 
     fn gap_pause_least(&self) -> Duration {
@@ -124,10 +134,7 @@ impl Session {
 
     /// Whether others have just asked for all that is missing here: the answer is for everyone.
     fn is_asked_by_others(&self, now: Stamp) -> bool {
-        if self.config.cast == Cast::Unicast
-            || self.peers.len() <= SMALL_SWARM
-            || self.schedule.gaps_asked_by_others >= ASKED_BY_OTHERS_MAX
-        {
+        if !self.asks_in_turn() || self.schedule.gaps_asked_by_others >= ASKED_BY_OTHERS_MAX {
             return false;
         }
         let since = now.plus_micros(-(self.gap_pause_least().min(GAP_DELAY_MAX).as_micros() as i64));
