@@ -43,6 +43,9 @@ const BUDGET_PAUSE_MAX: Duration = Duration::from_secs(300);
 /// Whole requests take at most one part in so many of what may be sent, and short ones.
 const WHOLE_SHARE: u64 = 12;
 const SHORT_SHARE: u64 = 8;
+/// And whole ones one part in so many, as long as one comes within this time.
+const RARE_WHOLE_SHARE: u64 = 24;
+const RARE_WHOLE_MAX: Duration = Duration::from_secs(5);
 /// As long as nobody knows what the radio carries, whole requests of all robots together keep to their share of so many
 /// bytes a second.
 const STARTING_BYTES_PER_S: usize = 100_000;
@@ -218,10 +221,16 @@ impl Session {
 
     /// Pause after a request of so many bytes, so that requests take no more than their share of the budget.
     pub(super) fn budget_pause(&self, each: usize, copies: usize, is_short: bool) -> Duration {
-        let share = if is_short { SHORT_SHARE } else { WHOLE_SHARE };
         let pause = |bytes: usize, rate: Option<u32>| {
-            let micros = |rate: u32| bytes as u64 * share * 1_000_000 / u64::from(rate.max(1));
-            Duration::from_micros(rate.map_or(0, micros))
+            let of_share = |share: u64| {
+                Duration::from_micros(
+                    rate.map_or(0, |rate| bytes as u64 * share * 1_000_000 / u64::from(rate.max(1))),
+                )
+            };
+            match is_short {
+                true => of_share(SHORT_SHARE),
+                false => of_share(WHOLE_SHARE).max(of_share(RARE_WHOLE_SHARE).min(RARE_WHOLE_MAX)),
+            }
         };
         let radio = if is_short { self.radio_bytes_per_s() } else { self.request_bytes_per_s() };
         pause(each * copies, radio).max(pause(each, self.config.link_bytes_per_s)).min(BUDGET_PAUSE_MAX)

@@ -88,9 +88,20 @@ impl Engine {
     }
 
     /// The longest that some time of a session is, of all robots.
+    /// The longest of what follows from the configuration of a robot. Who has no budget finds what the radio carries: of
+    /// one that many share half of its share, or more.
     fn longest(&self, micros: impl Fn(&SessionConfig) -> i64) -> i64 {
-        let nodes = self.network.nodes().iter();
-        nodes.map(|member| micros(&member.settings.config.session)).max().unwrap_or(0)
+        let nodes = self.network.nodes();
+        let radio = &self.eyes.settings.radio.config;
+        let share =
+            radio.rate_bytes_per_s.filter(|_| radio.is_shared).map(|rate| rate / (2 * nodes.len() as u32));
+        let longest = nodes.iter().map(|member| {
+            let session = &member.settings.config.session;
+            let found = share.filter(|_| session.congestion_control);
+            let radio_bytes_per_s = session.radio_bytes_per_s.into_iter().chain(found).min();
+            micros(&SessionConfig { radio_bytes_per_s, ..session.clone() })
+        });
+        longest.max().unwrap_or(0)
     }
 
     pub(super) fn robots(&self) -> Vec<&Robot> {
