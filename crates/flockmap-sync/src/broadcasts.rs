@@ -45,25 +45,19 @@ impl Broadcasts {
                 let sent = self.sent.entry(stream).or_insert_with(|| IntervalSet::new(SENT_INTERVALS_MAX));
                 let _ = sent.insert(index);
             }
-            self.recent.push_back((now, *item));
+            push_recent(&mut self.recent, (now, *item));
         }
-        self.recent.drain(..self.recent.len().saturating_sub(RECENT_MAX));
     }
 
     /// Notes what another robot sent.
     pub(crate) fn note_heard(&mut self, now: Stamp, from: RobotId, item: Item) {
-        self.heard.push_back((now, from, item));
-        self.heard.drain(..self.heard.len().saturating_sub(RECENT_MAX));
+        push_recent(&mut self.heard, (now, from, item));
     }
 
     /// What others sent of a stream since a time: who hears them has heard it too.
-    pub(crate) fn heard(
-        &self,
-        stream: Stream,
-        since: Stamp,
-    ) -> impl Iterator<Item = (Stamp, RobotId, Item)> + '_ {
-        let heard = self.heard.iter().rev().take_while(move |(at, ..)| *at > since).copied();
-        heard.filter(move |(.., item)| item.stream() == stream)
+    pub(crate) fn heard(&self, stream: Stream, since: Stamp) -> impl Iterator<Item = (RobotId, Item)> + '_ {
+        let heard = self.heard.iter().rev().take_while(move |(at, ..)| *at > since);
+        heard.map(|(_, from, item)| (*from, *item)).filter(move |(_, item)| item.stream() == stream)
     }
 
     /// The last ones: who is met now may have heard them.
@@ -99,4 +93,12 @@ impl Broadcasts {
         self.recent.retain(|(_, item)| item.stream() != stream);
         self.heard.retain(|(.., item)| item.stream() != stream);
     }
+}
+
+/// Of more than are remembered the oldest goes first, so that the list never takes more room.
+fn push_recent<T>(list: &mut VecDeque<T>, newest: T) {
+    if list.len() >= RECENT_MAX {
+        list.pop_front();
+    }
+    list.push_back(newest);
 }

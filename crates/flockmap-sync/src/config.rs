@@ -129,9 +129,9 @@ pub struct SessionConfig {
     /// budget times T. What goes to every peer at once has to fit: the limit only holds if one request to
     /// each, at most 308 bytes (327 with a key), fits into the budget; below 2,000, into 1,300 bytes.
     ///
-    /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (a twelfth of
-    /// the budget over time, those for gaps an eighth), so that control leaves room for the map. Peers then
-    /// wait for longer before they count this robot as gone.
+    /// Where the budget is small, requests are made shorter (half a second's worth) and rarer (a twenty-fourth of
+    /// the budget over time as long as one comes within 5 s, else a twelfth; those for gaps an eighth), so that
+    /// control leaves room for the map. Peers then wait for longer before they count this robot as gone.
     #[cfg_attr(
         feature = "serde",
         serde(rename = "budget_kb_s", with = "flockmap_grid::units::UnlessZero::<1_024, 500>")
@@ -146,7 +146,8 @@ pub struct SessionConfig {
     pub link_bytes_per_s: Option<u32>,
     /// Find what the radio carries, by how long what is sent and heard waits, and send no more; the budgets
     /// above remain limits. Begins with 250,000 bytes a second, doubles that as long as it is used and
-    /// nothing waits, and goes down to 20. Default yes; the paper does not.
+    /// nothing waits, and goes down to 20; of packages no more are out than 8,000 bytes at first, before some peer
+    /// has said what arrived. Default yes; the paper does not.
     pub congestion_control: bool,
     /// How much of a second's budget may go out at once; the rest is spread. 10 to 1,000. Default 50.
     pub burst_ms: u32,

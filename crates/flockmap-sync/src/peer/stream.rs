@@ -48,7 +48,7 @@ pub(crate) struct Sending {
 pub(crate) struct PeerStream {
     /// Nothing is known below this index.
     pub(crate) from: u32,
-    /// When it was named in a request last.
+    /// When a request of the peer named it last.
     pub(crate) stated_at: Stamp,
     /// What the peer stated to hold, or sent itself.
     pub(crate) received: IntervalSet,
@@ -99,13 +99,12 @@ impl PeerStream {
         }
     }
 
-    /// Nothing of it is under way as a snapshot, or wanted, or stayed missing at the last requests.
-    pub(crate) fn wants_nothing(&self) -> bool {
+    /// Nothing of it is under way as a snapshot, or asked of this robot, or missing for so long that a relay answers.
+    pub(crate) fn asks_for_nothing(&self) -> bool {
         self.sending.is_none()
             && self.snapshot_request.is_none()
             && self.rest_wanted.is_none()
             && self.overdue.is_empty()
-            && self.missing_then.1.is_empty()
     }
 
     /// The peer has confirmed this package. A stream that is too fragmented to note it learns it from the

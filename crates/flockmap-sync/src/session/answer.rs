@@ -49,7 +49,7 @@ impl Session {
             if request.covers(stream.origin) || request.received.iter().any(|named| named.stream == stream) {
                 self.note_overdue(now, id, stream, request);
             }
-            if !self.is_others(id, stream) {
+            if !self.is_left_to_others(id, stream) {
                 self.review_snapshot(now, id, stream);
             }
         }
@@ -63,19 +63,17 @@ impl Session {
             let low = low.max(theirs.from).max(1);
             low <= high && !theirs.received.contains_range(low, high)
         };
-        theirs.wants_nothing() && !received.intervals().iter().any(lacks)
+        theirs.asks_for_nothing()
+            && theirs.missing_then.1.is_empty()
+            && !received.intervals().iter().any(lacks)
     }
 
-    /// Whether what a peer lacks of a stream is its origin's to send, and nothing of it stayed missing.
-    fn is_others(&self, id: RobotId, stream: Stream) -> bool {
+    /// Whether others come first where a peer lacks something of a stream, and nothing of it is overdue.
+    fn is_left_to_others(&self, id: RobotId, stream: Stream) -> bool {
         let Some(peer) = self.peers.get(&id) else { return false };
-        let is_relay = peer.streams.get(&stream).is_some_and(|theirs| {
-            theirs.sending.is_none()
-                && theirs.snapshot_request.is_none()
-                && theirs.rest_wanted.is_none()
-                && theirs.overdue.is_empty()
-        });
-        is_relay && self.relay_rank(peer, stream).is_some_and(|rank| rank > 0)
+        let theirs = peer.streams.get(&stream);
+        theirs.is_some_and(PeerStream::asks_for_nothing)
+            && self.relay_rank(peer, stream).is_some_and(|rank| rank > 0)
     }
 
     /// Whether a stamp that came so long ago still shows which datagrams are older.
@@ -420,7 +418,9 @@ impl Session {
         for id in ids {
             let Some(peer) = self.peers.get(&id) else { continue };
             let count = self.peers.keys().filter(|robot| self.is_relay_before(peer, **robot)).count();
-            self.peers.entry(id).and_modify(|peer| peer.relays_before = count as u32);
+            if let Some(peer) = self.peers.get_mut(&id) {
+                peer.relays_before = count as u32;
+            }
         }
     }
 }

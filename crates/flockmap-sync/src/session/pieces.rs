@@ -22,7 +22,8 @@ pub struct Cuts {
 }
 
 impl Session {
-    /// What a state of packages 1 to `upto` of a stream can be cut by, and what it has of later ones: O(stamps), of which there are 512 at most.
+    /// What a state of packages 1 to `upto` of a stream can be cut by, and what it has of later ones: O(stamps), of which
+    /// there are 512 at most.
     pub fn cuts(&self, stream: Stream, upto: u32) -> Cuts {
         let received = self.store.received(stream);
         let (prefix, last) = received.map_or((0, None), |received| (received.prefix(), received.last()));

@@ -59,7 +59,7 @@ impl Session {
             if !before.contains(&stream) {
                 // What it heard of that lately was not noted.
                 let since = now.plus_micros(-(peer.round_trip.timeout().as_micros() as i64));
-                for (_, from, item) in self.outbox.broadcasts.heard(stream, since) {
+                for (from, item) in self.outbox.broadcasts.heard(stream, since) {
                     self.report.counters.suppressed += u64::from(
                         peer.hears_too(from) && peer.cover_heard(item, now, 2 * self.config.in_flight_max),
                     );

@@ -40,10 +40,10 @@ const PROBE_AFTER: Duration = Duration::from_millis(120);
 const PROBE_LOSS_MIN: u32 = crate::link::LOSS_ONE / 6;
 /// However thin the radio, peers do not lose sight of this robot for longer.
 const BUDGET_PAUSE_MAX: Duration = Duration::from_secs(300);
-/// Whole requests take at most one part in so many of what may be sent, and short ones.
-const WHOLE_SHARE: u64 = 12;
+/// Short requests take at most one part in so many of what may be sent, and whole ones.
 const SHORT_SHARE: u64 = 8;
-/// And whole ones one part in so many, as long as one comes within this time.
+const WHOLE_SHARE: u64 = 12;
+/// As long as one comes within this time whole ones take less: one part in so many.
 const RARE_WHOLE_SHARE: u64 = 24;
 const RARE_WHOLE_MAX: Duration = Duration::from_secs(5);
 /// As long as nobody knows what the radio carries, whole requests of all robots together keep to their share of so many

@@ -184,7 +184,7 @@ pub struct ClockReport {
     pub offset_micros: i64,
 }
 
-/// All that a request says. Parsed from at most [`DATAGRAM_BYTES_MAX`] bytes; holds at most 24 times as many.
+/// All that a request says. Parsed from at most [`DATAGRAM_BYTES_MAX`] bytes; holds at most 80 times as many.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
 pub struct Request {
     /// The origins of which `received` names every run that the sender holds something of. A request that has

@@ -454,6 +454,7 @@ fn crowd(robots: u16, bytes_max: usize) -> (Request, Request, Vec<u8>) {
 fn runs_named_by_low_epochs_are_found_where_one_is_known_and_cost_two_fifths() {
     let (request, mut parsed, bytes) = crowd(50, DATAGRAM_BYTES_MAX);
     let in_full = Request { epochs_low: false, ..request.clone() }.emit(HEADER, DATAGRAM_BYTES_MAX);
+    println!("lists of 50 runs: {} bytes, {} in full", bytes.len(), in_full.len());
     assert!(bytes.len() * 5 < in_full.len() * 2, "{} of {}", bytes.len(), in_full.len());
     let runs = |origin: RobotId, low: u16| -> Vec<Stream> {
         let known = request.received.iter().map(|received| received.stream);
@@ -493,4 +494,22 @@ fn a_request_by_low_epochs_keeps_to_its_room_and_says_which_origins_it_covers() 
             );
         }
     }
+}
+
+#[test]
+fn a_request_of_the_shortest_lists_holds_no_more_than_is_stated() {
+    let received = (0..120).map(|origin| {
+        let stream = Stream { origin: RobotId(origin), epoch: 1 << 40 };
+        Received { stream, is_oldest_wanted: false, in_part: None, from: 1, received: set(&[(1, 1)]) }
+    });
+    let request = Request { epochs_low: true, received: received.collect(), ..Request::default() };
+    let bytes = request.emit(HEADER, DATAGRAM_BYTES_MAX);
+    let mut parsed = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 64).unwrap();
+    assert_eq!(parsed.received_low.len(), 120, "four bytes each: {}", bytes.len());
+    let lists = parsed.received_low.capacity();
+    parsed.find_runs(|origin, _| vec![Stream { origin, epoch: 1 << 40 }]);
+    // While they get their runs, both lists are there; each interval is an allocation of 32 bytes at most.
+    let held = (lists + parsed.received.capacity()) * size_of::<Received>() + 120 * 32;
+    let record = 120 * 4;
+    assert!(held <= 80 * record, "{held} bytes for {record}");
 }

@@ -55,12 +55,16 @@ impl Quiet {
 /// Longest pause between two requests to everyone, in microseconds.
 pub(in crate::swarm) fn period_micros(config: &SessionConfig) -> i64 {
     let period = i64::from(config.request_period_idle_ms.max(config.request_period_active_ms)) * 1_100;
-    // Whole requests take a twelfth of a budget, each at most half a second of it, or 327 bytes.
+    // Whole requests take a twelfth of a budget, each at most half a second of it, or 327 bytes; or a twenty-fourth, as
+    // long as one comes within 5 s.
     let copies = if config.cast == Cast::Unicast { config.peers_max as i64 } else { 1 };
     let rates = [
         config.radio_bytes_per_s.map(|rate| i64::from(rate) / copies),
         config.link_bytes_per_s.map(i64::from),
     ];
-    let pause = |rate: i64| 12 * 1_100_000 * 327.max(rate / 2).min(1_228) / rate.max(1);
+    let pause = |rate: i64| {
+        let twelfth = 12 * 1_100_000 * 327.max(rate / 2).min(1_228) / rate.max(1);
+        twelfth.max((2 * twelfth).min(5_500_000))
+    };
     rates.into_iter().flatten().map(pause).fold(period, i64::max)
 }

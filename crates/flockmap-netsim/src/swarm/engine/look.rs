@@ -87,9 +87,8 @@ impl Engine {
         self.eyes.say("mapping ends, links heal".to_owned());
     }
 
-    /// The longest that some time of a session is, of all robots.
-    /// The longest of what follows from the configuration of a robot. Who has no budget finds what the radio carries: of
-    /// one that many share half of its share, or more.
+    /// The longest that some time of a session is, of all robots. Who has no budget finds what the radio carries: of one
+    /// that is shared at least half of its share.
     fn longest(&self, micros: impl Fn(&SessionConfig) -> i64) -> i64 {
         let nodes = self.network.nodes();
         let radio = &self.eyes.settings.radio.config;
