@@ -60,7 +60,7 @@ impl Batcher {
         }
         *last = stamp;
         let report = insert(mapper)?;
-        packer.note_observed(stamp, report.sensor);
+        packer.note_observed(stamp, stamp, report.sensor);
         step(stamp, Step::Mapped)?;
         while let Some((batch, changes)) = packer.close_due(stamp, mapper) {
             step(stamp, Step::Closed(batch, changes))?;

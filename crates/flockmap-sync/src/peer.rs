@@ -90,6 +90,8 @@ pub(crate) struct Peer {
     /// The ledger: what is in flight to it. Also of streams of which it takes nothing now: it may have room
     /// when that arrives.
     pub(crate) in_flight: VecDeque<SentPackage>,
+    /// Of what was in flight, what goes out again before anything is known of it. At most 64.
+    pub(crate) repeating: BTreeSet<Item>,
     /// Not before this a chunk is offered to it of a snapshot that it does not take.
     pub(crate) offer_at: Stamp,
     /// What to send next, best first, if nothing changes.
@@ -142,6 +144,7 @@ impl Peer {
             clocks: Vec::new(),
             streams: BTreeMap::new(),
             in_flight: VecDeque::new(),
+            repeating: BTreeSet::new(),
             offer_at: now,
             queue: VecDeque::new(),
             queue_stale: true,
@@ -294,8 +297,10 @@ impl Peer {
             return;
         }
         let is_new = theirs.is_some_and(|theirs| theirs.cover(item));
+        let mut is_repeated = self.repeating.remove(&item);
         if let Some(at) = self.in_flight.iter().rposition(|sent| !is_new && sent.item == item) {
             self.in_flight.remove(at);
+            is_repeated = true;
         }
         let timeout = self.round_trip.timeout();
         if self.in_flight.len() >= in_flight_max
@@ -304,7 +309,25 @@ impl Peer {
             self.in_flight.pop_front();
         }
         if self.in_flight.len() < in_flight_max || mutation::is(Mutation::WindowIgnored) {
-            self.in_flight.push_back(SentPackage { item, at: now, requests: 0 });
+            self.in_flight.push_back(SentPackage { item, at: now, is_repeated, requests: 0 });
+        }
+    }
+
+    /// Something is not in flight any more: what it holds or will is reckoned anew.
+    pub(crate) fn cover_anew(&mut self, in_flight_max: usize) {
+        for theirs in self.streams.values_mut() {
+            if theirs.received_or_in_flight.intervals() != theirs.received.intervals() {
+                theirs.received_or_in_flight =
+                    theirs.received.with_room(PEER_INTERVALS_MAX + 2 * in_flight_max);
+            }
+            if let Some(sending) = &mut theirs.sending {
+                sending.received_or_in_flight = sending.accepted.clone();
+            }
+        }
+        for sent in &self.in_flight {
+            if let Some(theirs) = self.streams.get_mut(&sent.item.stream()) {
+                theirs.cover(sent.item);
+            }
         }
     }
 

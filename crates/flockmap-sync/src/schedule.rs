@@ -17,6 +17,13 @@ pub(crate) struct Schedule {
     /// Requests for gaps that others' took the place of, since one went out.
     pub(crate) gaps_asked_by_others: u32,
     pub(crate) probes_left: u8,
+    /// Bytes of own obstacles that peers were not shown yet to have been sent; and until when they are not to be.
+    pub(crate) unprobed: usize,
+    pub(crate) probe_from: Stamp,
+    /// The newest own package that was sent.
+    pub(crate) newest_sent: u32,
+    /// When a peer last showed which of its obstacles it has sent.
+    pub(crate) probed: Stamp,
     /// Greetings that followed each other.
     pub(crate) greetings: u32,
     pub(crate) last: Stamp,
@@ -56,6 +63,10 @@ impl Schedule {
             gap_slot: seed % Self::GAP_SLOTS,
             gaps_asked_by_others: 0,
             probes_left: 0,
+            unprobed: 0,
+            probe_from: never,
+            newest_sent: 0,
+            probed: never,
             greetings: 0,
             last: never,
             budget_pause: Duration::ZERO,

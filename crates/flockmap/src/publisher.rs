@@ -98,8 +98,8 @@ impl Publisher {
     }
 
     /// Notes what the mapper has taken in, and from where it was seen, if that is known: metres in the map.
-    pub(crate) fn note_observed(&mut self, stamp: Stamp, sensor: Option<[f64; 3]>) {
-        self.packer.note_observed(stamp, sensor);
+    pub(crate) fn note_observed(&mut self, now: Stamp, stamp: Stamp, sensor: Option<[f64; 3]>) {
+        self.packer.note_observed(now, stamp, sensor);
     }
 
     /// When to [`poll`](Self::poll) again, if nothing more changes.

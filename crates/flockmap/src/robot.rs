@@ -94,6 +94,8 @@ impl Robot {
         }
         let own = Stream { origin: config.id, epoch: config.epoch };
         let resolution = config.mapper.resolution;
+        let mut session = config.session.clone();
+        session.hurry_obstacles &= config.batch.obstacle_period_ms.is_some();
         Ok(Self {
             now,
             mapper: Mapper::new(config.mapper.clone())?,
@@ -101,7 +103,7 @@ impl Robot {
             readers: Readers::new(config.fusion.layer_bytes_max),
             snapshots: Snapshots::default(),
             decoder: Decoder::new(),
-            session: Session::new(own, config.session.clone(), config.seed)?,
+            session: Session::new(own, session, config.seed)?,
             fusion: Fusion::new(own, resolution, config.fusion.clone()),
             republishing: None,
             merge_steps_left: 0,
@@ -151,7 +153,7 @@ impl Robot {
         self.counters.scans_ahead += u64::from(scan.stamp > now);
         self.counters.points_ignored += report.ignored as u64;
         self.counters.points_masked += report.masked as u64;
-        self.note_own(&report);
+        self.note_own(now, &report);
         Ok(report)
     }
 
@@ -203,13 +205,13 @@ impl Robot {
         let report = self.mapper.insert_states(&StatesUpdate { stamp: update.stamp.min(now), ..*update })?;
         self.counters.states += 1;
         self.counters.states_ahead += u64::from(update.stamp > now);
-        self.note_own(&report);
+        self.note_own(now, &report);
         Ok(report)
     }
 
     /// Takes what came into the own map to where it goes from there.
-    fn note_own(&mut self, report: &ScanReport) {
-        self.publisher.note_observed(report.stamp, report.sensor);
+    fn note_own(&mut self, now: Stamp, report: &ScanReport) {
+        self.publisher.note_observed(now, report.stamp, report.sensor);
         self.fusion.own_scan(&self.mapper, report);
         self.counters.blocks_forgotten += report.forgotten.len() as u64;
     }

@@ -70,7 +70,7 @@ pub fn measure(flown: &Flown) -> anyhow::Result<Measured> {
             }
             let node = &mut nodes[number];
             let report = node.mapper.insert(&frame.scan, &frame.pose, &frame.masks());
-            node.packer.note_scan(now, &frame.pose);
+            node.packer.note_scan(now, now, &frame.pose);
             node.fusions.iter_mut().for_each(|fusion| fusion.own_scan(&node.mapper, &report));
             loop {
                 let started = Instant::now();

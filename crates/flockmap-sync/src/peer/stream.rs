@@ -16,6 +16,8 @@ const UNHEEDED_MAX: u8 = 5;
 pub(crate) struct SentPackage {
     pub(crate) item: Item,
     pub(crate) at: Stamp,
+    /// It went out again before anything was known of it.
+    pub(crate) is_repeated: bool,
     /// Requests of the peer since then in which it was still missing.
     pub(crate) requests: u8,
 }

@@ -6,7 +6,7 @@ use super::snapshot::OFFER_PAUSE;
 use crate::config::ms;
 use crate::item::Item;
 use crate::outbox::Outbox;
-use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, Sending, SentPackage};
+use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, SMALL_SWARM, Sending, SentPackage};
 use crate::rate::Arrival;
 use crate::timers::Timer;
 use crate::wire::{DatagramHeader, Request, TransferProgress};
@@ -177,7 +177,10 @@ impl Session {
             } else if let Some(newest) = stated.received.last()
                 && self.store.note_newest(stated.stream, newest, now)
             {
-                self.note_gap_told_by(now, id);
+                match request.is_probe(id) && self.peers.len() <= SMALL_SWARM {
+                    true => self.note_probed(now),
+                    false => self.note_gap_told_by(now, id),
+                }
             }
             let Some(peer) = self.peers.get_mut(&id) else { return };
             let theirs =
@@ -320,20 +323,7 @@ impl Session {
         let Some(peer) = self.peers.get_mut(&id) else { return };
         peer.loss.sample(confirmed, lost);
 
-        for theirs in peer.streams.values_mut() {
-            if theirs.received_or_in_flight.intervals() != theirs.received.intervals() {
-                theirs.received_or_in_flight =
-                    theirs.received.with_room(PEER_INTERVALS_MAX + 2 * self.config.in_flight_max);
-            }
-            if let Some(sending) = &mut theirs.sending {
-                sending.received_or_in_flight = sending.accepted.clone();
-            }
-        }
-        for sent in &peer.in_flight {
-            if let Some(theirs) = peer.streams.get_mut(&sent.item.stream()) {
-                theirs.cover(sent.item);
-            }
-        }
+        peer.cover_anew(self.config.in_flight_max);
     }
 
     /// After this time without a sign of a peer, what was sent to it counts as lost. One that has not said yet when

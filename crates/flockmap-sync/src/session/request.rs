@@ -32,7 +32,9 @@ impl Session {
         let for_gap = timers.is_due(Timer::Gap, now);
         let for_all = [Timer::Request, Timer::Greeting, Timer::Probe].iter().any(|t| timers.is_due(*t, now));
         let is_small = self.peers.len() <= SMALL_SWARM;
-        let is_short = !timers.is_due(Timer::Request, now) && !is_small && self.schedule.count > 0;
+        let is_hurried = for_gap && !for_all && self.hurries(now);
+        let is_short =
+            !timers.is_due(Timer::Request, now) && (!is_small || is_hurried) && self.schedule.count > 0;
         let to = if for_gap && !for_all { self.whom_to_ask(now) } else { Destination::Everyone };
         let copies = self.copies(to);
         let header = self.header(now, Kind::Request);
@@ -116,7 +118,7 @@ impl Session {
     }
 
     /// Milliseconds within which this robot will be heard again, where a thin radio makes that long.
-    fn next_within_ms(&self) -> u32 {
+    pub(super) fn next_within_ms(&self) -> u32 {
         let pause = self.budget_pause(self.request_bytes_max(1) + self.overhead(Kind::Request), 1, false);
         let ms = u32::try_from(pause.as_millis()).unwrap_or(u32::MAX);
         if ms > self.config.request_period_idle_ms { ms.saturating_add(ms / 4) } else { 0 }
@@ -190,13 +192,7 @@ impl Session {
     /// urgent. Urgent are: the own run; the run that a robot heard in a former one has to learn of; runs with
     /// gaps, in turn. Then come all runs, origin by origin from the cursor on.
     fn received_lists(&self, now: Stamp) -> (Vec<Received>, usize) {
-        let list = |stream: Stream| Received {
-            stream,
-            is_oldest_wanted: self.store.is_oldest_wanted(stream),
-            in_part: self.in_part(stream),
-            from: 1,
-            received: self.stated_as_received(stream, now),
-        };
+        let list = |stream| self.list_of(stream, now);
         let mut urgent: Vec<Stream> = self.gaps(now).collect();
         rotate(&mut urgent, self.schedule.count);
         urgent.truncate(URGENT_MAX);
@@ -221,6 +217,16 @@ impl Session {
             received.is_oldest_wanted || !received.received.is_empty() || is_newest(received.stream)
         }));
         (lists, urgent)
+    }
+
+    pub(super) fn list_of(&self, stream: Stream, now: Stamp) -> Received {
+        Received {
+            stream,
+            is_oldest_wanted: self.store.is_oldest_wanted(stream),
+            in_part: self.in_part(stream),
+            from: 1,
+            received: self.stated_as_received(stream, now),
+        }
     }
 
     /// A snapshot of each stream of which something can only be had like that.

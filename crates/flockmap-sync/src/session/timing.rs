@@ -98,17 +98,21 @@ impl Session {
         }
         let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
         let variation = others.map(|peer| peer.round_trip.variation()).max().unwrap_or_default();
-        let patience = self.config.patience(variation);
-        let at = now.plus(patience).max(self.schedule.last.plus(self.gap_pause(except)));
+        let patience = self.hurried_patience(now, variation);
+        let at = now.plus(patience).max(self.schedule.last.plus(self.gap_pause(now, except)));
         self.schedule.timers.set_sooner(Timer::Gap, at.plus(self.gap_delay()));
     }
 
     /// Pause between two requests for gaps: an answer needs the round trip at least.
-    fn gap_pause(&self, except: Option<RobotId>) -> Duration {
+    fn gap_pause(&self, now: Stamp, except: Option<RobotId>) -> Duration {
         let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
-        let tries = if others.clone().count() > SMALL_SWARM { GAP_TRIES_OF_MANY } else { GAP_TRIES };
+        let tries = match others.clone().count() {
+            0..=SMALL_SWARM if self.hurries(now) => GAP_TRIES * self.round_trip_parts(),
+            0..=SMALL_SWARM => GAP_TRIES,
+            _ => GAP_TRIES_OF_MANY,
+        };
         let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
-        let shortest = ms(self.config.gap_request_pause_ms).max(round_trip);
+        let shortest = self.gap_pause_shortest(now, round_trip);
         let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
         shortest.saturating_mul(1 << doublings).min(GAP_PAUSE_MAX).max(self.schedule.short_pause)
     }
@@ -191,7 +195,7 @@ impl Session {
             self.schedule.gaps_asked_by_others += 1;
             self.schedule.draw_gap_slot();
             self.report.counters.gaps_asked_by_others += 1;
-            let at = now.plus(self.gap_pause(None)).plus(self.gap_delay());
+            let at = now.plus(self.gap_pause(now, None)).plus(self.gap_delay());
             self.schedule.timers.set(Timer::Gap, at);
         }
         if self.schedule.timers.is_due(Timer::Probe, now) && !self.is_waiting_for_request(now) {
@@ -282,7 +286,7 @@ impl Session {
             if self.has_gap(now) { self.schedule.gap_tries.saturating_add(1) } else { 0 };
         if self.schedule.timers.get(Timer::Gap).is_some() {
             // The request has just said all that is missing; say it again after a pause that grows.
-            let pause = self.gap_pause(None);
+            let pause = self.gap_pause(now, None);
             let periodic = ms(self.config.request_period_active_ms).max(self.schedule.budget_pause);
             match pause < periodic {
                 true => self.schedule.timers.set(Timer::Gap, now.plus(pause).plus(self.gap_delay())),

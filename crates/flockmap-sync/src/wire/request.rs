@@ -224,6 +224,12 @@ impl Request {
         self.origins.is_some_and(|origins| origins.contains(origin))
     }
 
+    /// Whether it says nothing but which packages of its own run the sender has made.
+    pub(crate) fn is_probe(&self, sender: RobotId) -> bool {
+        let is_own = |received: &Received| received.stream.origin == sender;
+        self.is_short && self.echoes.is_empty() && self.received.iter().all(is_own)
+    }
+
     /// Reads the records of a request; unknown ones are skipped. Lists of more than `intervals_max` intervals
     /// keep their newest ones.
     pub fn parse(datagram: &Datagram<'_>, intervals_max: usize) -> Result<Self, DatagramError> {

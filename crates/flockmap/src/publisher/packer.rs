@@ -10,6 +10,8 @@ use crate::BatchConfig;
 /// Of a batch that is published in parts, so many of obstacles alone come before one with free space, if
 /// there are as many.
 const OBSTACLES_IN_ROW: u32 = 3;
+/// The next scan is not expected later than this.
+const SCAN_PAUSE_MAX: Duration = Duration::from_secs(1);
 
 /// Closes batches: takes the net changes from the mapper when enough have come up or enough time has passed.
 #[derive(Clone, Debug)]
@@ -22,6 +24,10 @@ pub struct Packer {
     closed_free: Stamp,
     /// Of a batch that is published in parts: how many of the parts of obstacles alone are used up.
     obstacles_in_row: u32,
+    /// When the newest scan came and the next one will have come, as long as no batch was closed since.
+    scanned: Option<[Stamp; 2]>,
+    /// Mean pause between the last scans.
+    scan_pause: Option<Duration>,
     /// Something has waited beyond its time that has not been published yet.
     is_behind: bool,
     /// Stamp of the newest scan.
@@ -47,6 +53,8 @@ impl Packer {
             closed_occupied: now,
             closed_free: now,
             obstacles_in_row: 0,
+            scanned: None,
+            scan_pause: None,
             is_behind: false,
             newest_scan: now,
             last_end: None,
@@ -65,18 +73,24 @@ impl Packer {
     /// Notes a scan that the mapper has taken in: it is the time of what has changed, and the place that it
     /// was seen from.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub fn note_scan(&mut self, stamp: Stamp, T_map_sensor: &Pose) {
-        self.note_observed(stamp, Some(T_map_sensor.translation()));
+    pub fn note_scan(&mut self, now: Stamp, stamp: Stamp, T_map_sensor: &Pose) {
+        self.note_observed(now, stamp, Some(T_map_sensor.translation()));
     }
 
     /// The same for whatever the mapper has taken in. `sensor`: in metres in the map; `None`: where it was.
-    pub fn note_observed(&mut self, stamp: Stamp, sensor: Option<[f64; 3]>) {
+    pub fn note_observed(&mut self, now: Stamp, stamp: Stamp, sensor: Option<[f64; 3]>) {
         if let Some(sensor) = sensor {
             // A cast to i32 clamps, and whatever comes of it is right: the codec codes better if it is near.
             let sixteenths = 16.0 / self.resolution.metres();
             self.newest_sensor = sensor.map(|metres| (metres * sixteenths).round() as i32);
             self.first_sensor.get_or_insert(self.newest_sensor);
         }
+        let pause = stamp.since(self.newest_scan).min(SCAN_PAUSE_MAX);
+        self.scan_pause =
+            self.occupied_from.map(|_| self.scan_pause.map_or(pause, |mean| (3 * mean + pause) / 4));
+        // Scans do not come on time to the millisecond.
+        let pause = self.scan_pause.map_or_else(|| self.obstacle_period(), |pause| pause * 5 / 4);
+        self.scanned = Some([now, now.plus(pause)]);
         if self.newest_scan < stamp || self.last_end.is_none() {
             self.newest_scan = stamp;
         }
@@ -92,11 +106,30 @@ impl Packer {
         if mapper.pending() >= self.config.voxels_max {
             return Some(Stamp(i64::MIN));
         }
-        let free = self.closed_free.plus(self.period());
-        Some(match self.config.obstacle_period_ms {
-            None => free,
-            Some(ms) => free.min(self.closed_occupied.plus(Duration::from_millis(ms.into()))),
-        })
+        let free = self.due(self.closed_free, self.period());
+        let occupied = self.due(self.closed_occupied, self.obstacle_period());
+        Some(if self.config.obstacle_period_ms.is_some() { free.min(occupied) } else { free })
+    }
+
+    /// When a batch is due. Where obstacles go ahead: with the newest scan already if the next one would come after the
+    /// batch's time, since what that scan saw would wait for nothing.
+    fn due(&self, closed: Stamp, period: Duration) -> Stamp {
+        let due = closed.plus(period);
+        let scanned =
+            self.scanned.filter(|[_, next]| self.config.obstacle_period_ms.is_some() && *next >= due);
+        scanned.map_or(due, |[at, _]| at.min(due))
+    }
+
+    /// When a batch counts as closed that is closed now: not before its time, so that there is one in a period, no more.
+    fn closed(&self, now: Stamp, closed: Stamp, period: Duration) -> Stamp {
+        if now >= self.due(closed, period) { now.max(closed.plus(period)) } else { now }
+    }
+
+    /// Everything is closed now.
+    fn note_closed(&mut self, now: Stamp) {
+        self.closed_occupied = self.closed(now, self.closed_occupied, self.obstacle_period());
+        self.closed_free = self.closed(now, self.closed_free, self.period());
+        self.scanned = None;
     }
 
     /// Closes the batch that is due, if one is: with everything that has changed, or just the obstacles if
@@ -142,8 +175,7 @@ impl Packer {
         let (changes, is_cut) = mapper.take_nearest(Which::All, self.sensor_block(), room.voxels, except);
         self.is_behind = is_cut || (was_behind && mapper.pending() > 0);
         if !is_cut {
-            self.closed_occupied = now;
-            self.closed_free = now;
+            self.note_closed(now);
         }
         if changes.is_empty() {
             return None;
@@ -162,6 +194,10 @@ impl Packer {
         Duration::from_millis(self.config.publish_period_ms as u64)
     }
 
+    fn obstacle_period(&self) -> Duration {
+        Duration::from_millis(self.config.obstacle_period_ms.unwrap_or(0).into())
+    }
+
     /// Notes that a batch was deferred for so long that what it publishes is late.
     pub(crate) const fn note_late(&mut self) {
         self.is_behind = true;
@@ -173,7 +209,7 @@ impl Packer {
     }
 
     fn everything_is_due(&self, now: Stamp, mapper: &Mapper) -> bool {
-        now >= self.closed_free.plus(self.period())
+        now >= self.due(self.closed_free, self.period())
             || mapper.pending() >= self.config.voxels_max
             || self.config.obstacle_period_ms.is_none()
     }
@@ -191,7 +227,8 @@ impl Packer {
         } else {
             // There are no more: the turn is over.
             self.obstacles_in_row = OBSTACLES_IN_ROW;
-            self.closed_occupied = now;
+            self.closed_occupied = self.closed(now, self.closed_occupied, self.obstacle_period());
+            self.scanned = None;
         }
         if changes.is_empty() {
             return None;
@@ -203,8 +240,7 @@ impl Packer {
 
     /// Closes the batch now, with everything that has changed. `None` if nothing has.
     pub fn close(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Batch, Changes)> {
-        self.closed_occupied = now;
-        self.closed_free = now;
+        self.note_closed(now);
         self.obstacles_in_row = 0;
         self.is_behind = false;
         let changes = mapper.take_changes(Which::All);
@@ -262,7 +298,7 @@ mod tests {
     fn scan(packer: &mut Packer, mapper: &mut Mapper, ms: i64, point: [f32; 3]) {
         let scan = Scan { stamp: Stamp(ms * MS), points: vec![point], no_returns: Vec::new() };
         mapper.insert(&scan, &Pose::IDENTITY, &[]);
-        packer.note_scan(scan.stamp, &Pose::IDENTITY);
+        packer.note_scan(scan.stamp, scan.stamp, &Pose::IDENTITY);
     }
 
     #[test]
@@ -309,6 +345,30 @@ mod tests {
     }
 
     #[test]
+    fn what_a_scan_saw_does_not_wait_for_the_end_of_a_period_without_scans() {
+        let config = BatchConfig { obstacle_period_ms: Some(100), ..BatchConfig::default() };
+        let (mut packer, mut mapper) = setup(config);
+        let mut closed = Vec::new();
+        // 10 scans a second, some early and some late; then 20 a second.
+        let late = [0, 12, -15, 20, -20, 7, 0, 24, -3, 0];
+        let slow = (0..10).map(|i| 100 * i + late[i as usize]);
+        for (number, ms) in slow.chain((0..20).map(|i| 1_000 + 50 * i)).enumerate() {
+            let angle = number as f32;
+            scan(&mut packer, &mut mapper, ms, [2.0 * angle.cos(), 2.0 * angle.sin(), 0.1 * angle]);
+            let occupied = mapper.pending();
+            assert!(occupied > 0);
+            while let Some((batch, changes)) = packer.close_due(Stamp(ms * MS), &mut mapper) {
+                assert_eq!(batch.end.0 / MS, ms, "nothing of an earlier scan is left");
+                closed.push((ms, changes.has_occupied()));
+            }
+        }
+        let of_slow = closed.iter().filter(|(ms, is_occupied)| *ms < 950 && *is_occupied).count();
+        let of_fast = closed.iter().filter(|(ms, is_occupied)| *ms > 950 && *is_occupied).count();
+        // Two of the batches of everything come between.
+        assert!(of_slow == 10 && (10..=12).contains(&of_fast), "{closed:?}");
+    }
+
+    #[test]
     fn a_part_is_of_obstacles_or_of_what_is_nearest_and_the_rest_is_due_at_once() {
         let (mut packer, mut mapper) = setup(BatchConfig {
             publish_period_ms: 2_000,
@@ -345,7 +405,7 @@ mod tests {
         });
         let scan = Scan { stamp: Stamp(100 * MS), points: points.collect(), no_returns: Vec::new() };
         mapper.insert(&scan, &Pose::IDENTITY, &[]);
-        packer.note_scan(scan.stamp, &Pose::IDENTITY);
+        packer.note_scan(scan.stamp, scan.stamp, &Pose::IDENTITY);
         let room = Room { obstacles: 10, voxels: 10, defer_max: Duration::ZERO };
         let parts: Vec<bool> = (0..8)
             .map(|_| packer.close_part(Stamp(200 * MS), &mut mapper, room, |_| [0; 8]).unwrap().1)
