@@ -169,7 +169,7 @@ mod tests {
                     Piece::State(of, state, rest) => break (of, state, rest),
                     Piece::Nothing(_) => return pieces,
                     Piece::TooMuch => {
-                        bytes_max *= 2;
+                        bytes_max = 2 * bytes_max.max(1);
                         assert!(reader.restart(bytes_max));
                     }
                 }

@@ -233,7 +233,7 @@ impl Making {
                 return Ok((1, Some(nothing.into_iter().collect())));
             }
             Piece::TooMuch => {
-                self.piece_bytes *= 2;
+                self.piece_bytes = self.piece_bytes.max(1).saturating_mul(2);
                 let is_begun = self.piece_bytes <= BYTES_MAX && self.source.reader.restart(self.piece_bytes);
                 return Ok((1, (!is_begun).then(Vec::new)));
             }

@@ -26,6 +26,8 @@ const TWICE_MAX: usize = 64;
 const TWICE_AFTER: Duration = Duration::from_millis(20);
 /// A probe takes some 64 bytes on the air. One goes out for each so many bytes of obstacles, no more.
 const PROBE_EVERY: usize = 448;
+/// Older obstacles do not hurry.
+const FRESH_FOR: Duration = Duration::from_secs(2);
 /// Whoever was probed hurries too, for so long.
 const PROBED_FOR: Duration = Duration::from_secs(2);
 
@@ -63,7 +65,7 @@ impl Session {
         }
         let is_new = newest > self.schedule.newest_sent;
         self.schedule.newest_sent = self.schedule.newest_sent.max(newest);
-        if !self.hurries(now) || !items.iter().any(|item| is_obstacle(&self.store, *item)) {
+        if !self.hurries(now) || !items.iter().any(|item| hurries(&self.store, now, *item)) {
             return;
         }
         if self.loses(TWICE_LOSS_MIN) {
@@ -117,7 +119,7 @@ impl Session {
         let before = now.plus_micros(-(TWICE_AFTER.as_micros() as i64));
         for peer in peers.values_mut().filter(|peer| peer.loss.share() >= TWICE_LOSS_MIN) {
             let goes = |sent: &&crate::peer::SentPackage| {
-                !sent.is_repeated && sent.at <= before && is_obstacle(store, sent.item)
+                !sent.is_repeated && sent.at <= before && hurries(store, now, sent.item)
             };
             peer.forget_repeated();
             let room = TWICE_MAX.saturating_sub(peer.repeating.len());
@@ -158,9 +160,12 @@ impl Session {
     }
 }
 
-fn is_obstacle(store: &Store, item: Item) -> bool {
+/// Whether it is a package with obstacles that a planner waits for. Who catches up waits for thousands.
+fn hurries(store: &Store, now: Stamp, item: Item) -> bool {
     let Item::Package { stream, index } = item else { return false };
-    store.get(stream, index).is_some_and(|stored| stored.package.header().priority == Priority::Obstacles)
+    store.get(stream, index).is_some_and(|stored| {
+        stored.package.header().priority == Priority::Obstacles && now.since(stored.fresh_at) < FRESH_FOR
+    })
 }
 
 impl Peer {
