@@ -149,11 +149,12 @@ pub struct SessionConfig {
     /// nothing waits, and goes down to 20; of packages no more are out than 8,000 bytes at first, before some peer
     /// has said what arrived. Default yes; the paper does not.
     pub congestion_control: bool,
-    /// Obstacles hurry where 5 % of what is sent to a peer gets lost, no more than 8 are heard, and the radio carries 16,000 bytes a second: some 30 ms after them a
-    /// probe of some 64 bytes shows what was sent, one for every 448 bytes of obstacles; what is missing is asked for twice
-    /// in a round trip. From a third of losses they are sent twice, and asked for four times in a round trip. Default yes; a
-    /// robot without an obstacle period of its own turns it off.
-    pub hurry_obstacles: bool,
+    /// Repair obstacles of the last two seconds fast, where 5 % of what a peer is sent gets lost, at most 8 robots are
+    /// heard, and the radio carries 16,000 bytes a second: some 30 ms after obstacles a probe of some 64 bytes shows what
+    /// was sent, one for every 448 bytes; gaps are asked for twice in a round trip. From a third of losses on obstacles
+    /// are sent twice, and gaps asked for four times in a round trip. Default yes; a robot without an obstacle period
+    /// does without.
+    pub fast_repair: bool,
     /// How much of a second's budget may go out at once; the rest is spread. 10 to 1,000. Default 50.
     pub burst_ms: u32,
     /// Bytes counted for each datagram beside its payload. Default 28: IPv4 and UDP headers.
@@ -225,7 +226,7 @@ impl Default for SessionConfig {
             radio_bytes_per_s: Some(2_000_000),
             link_bytes_per_s: None,
             congestion_control: true,
-            hurry_obstacles: true,
+            fast_repair: true,
             burst_ms: 50,
             datagram_overhead_bytes: 28,
             datagram_bytes_max: DATAGRAM_BYTES_MAX,
@@ -273,7 +274,7 @@ impl SessionConfig {
             snapshot_bytes_min: None,
             snapshot_range_max: Some(100),
             congestion_control: false,
-            hurry_obstacles: false,
+            fast_repair: false,
             ..Self::default()
         }
     }

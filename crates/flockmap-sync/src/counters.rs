@@ -42,9 +42,9 @@ pub struct Counters {
     pub sent: u64,
     /// Of these: packages of other origins.
     pub relayed: u64,
-    /// Short requests that showed peers which obstacles were sent, where losses are high.
+    /// Probes sent: short requests soon after obstacles, where losses are high.
     pub probes: u64,
-    /// Packages with obstacles that were sent again before anything was known of them, where losses are higher still.
+    /// Packages with obstacles that were to go out a second time before anything was known of the first.
     pub repeated: u64,
     /// Datagrams of repair symbols sent.
     pub coded_sent: u64,

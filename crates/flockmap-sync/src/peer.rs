@@ -313,7 +313,7 @@ impl Peer {
         }
     }
 
-    /// Something is not in flight any more: what it holds or will is reckoned anew.
+    /// Something is not in flight any more: finds anew what it holds or has in flight.
     pub(crate) fn cover_anew(&mut self, in_flight_max: usize) {
         for theirs in self.streams.values_mut() {
             if theirs.received_or_in_flight.intervals() != theirs.received.intervals() {

@@ -17,12 +17,12 @@ pub(crate) struct Schedule {
     /// Requests for gaps that others' took the place of, since one went out.
     pub(crate) gaps_asked_by_others: u32,
     pub(crate) probes_left: u8,
-    /// Bytes of own obstacles that peers were not shown yet to have been sent; and until when they are not to be.
+    /// Bytes of own obstacles since the last probe; and the earliest time of the next one.
     pub(crate) unprobed: usize,
     pub(crate) probe_from: Stamp,
     /// The newest own package that was sent.
     pub(crate) newest_sent: u32,
-    /// When a peer last showed which of its obstacles it has sent.
+    /// When a probe last showed a gap here.
     pub(crate) probed: Stamp,
     /// Greetings that followed each other.
     pub(crate) greetings: u32,

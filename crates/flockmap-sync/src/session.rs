@@ -4,7 +4,7 @@
 mod answer;
 mod coded;
 mod datagram;
-mod hurry;
+mod fast_repair;
 mod pace;
 mod paths;
 mod pieces;
@@ -202,8 +202,8 @@ impl Session {
         } else if let Some(until) = self.schedule.blocked_until.filter(|until| *until > now) {
             self.schedule.timers.set_sooner(Timer::Budget, until);
             None
-        } else if self.schedule.timers.is_due(Timer::Hurry, now)
-            && let probe @ Some(_) = self.transmit_hurry(now)
+        } else if self.schedule.timers.is_due(Timer::FastRepair, now)
+            && let probe @ Some(_) = self.transmit_fast_repair(now)
         {
             probe
         } else if self.request_due(now) {
@@ -224,8 +224,8 @@ impl Session {
         // A request that is due already waits for the budget, like everything else: the timer of that says
         // until when.
         let budget = self.schedule.timers.get(Timer::Budget);
-        let hurry = self.schedule.timers.get(Timer::Hurry);
-        let request = self.schedule.timers.next(&Timer::REQUESTS).into_iter().chain(hurry).min();
+        let repair = self.schedule.timers.get(Timer::FastRepair);
+        let request = self.schedule.timers.next(&Timer::REQUESTS).into_iter().chain(repair).min();
         let request =
             request.filter(|&at| !self.is_exhausted() && (at > self.clocks.now() || budget.is_none()));
         [lost, budget, request].into_iter().flatten().min().map(|at| at.max(self.clocks.now()))

@@ -13,8 +13,8 @@ pub(crate) enum Timer {
     Gap,
     /// A request that makes the peers look whether the end of a burst is lost.
     Probe,
-    /// Peers that lose much are shown which obstacles were sent, or sent them again.
-    Hurry,
+    /// A probe, or obstacles a second time, for peers that lose much.
+    FastRepair,
     /// A budget that stopped sending has room again.
     Budget,
     /// A peer may count as gone, not earlier.
@@ -22,8 +22,15 @@ pub(crate) enum Timer {
 }
 
 impl Timer {
-    const ALL: [Self; 7] =
-        [Self::Request, Self::Greeting, Self::Gap, Self::Probe, Self::Hurry, Self::Budget, Self::Silence];
+    const ALL: [Self; 7] = [
+        Self::Request,
+        Self::Greeting,
+        Self::Gap,
+        Self::Probe,
+        Self::FastRepair,
+        Self::Budget,
+        Self::Silence,
+    ];
     /// Those at which a request goes out.
     pub(crate) const REQUESTS: [Self; 4] = [Self::Request, Self::Greeting, Self::Gap, Self::Probe];
 }

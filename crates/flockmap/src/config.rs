@@ -22,8 +22,8 @@ pub struct BatchConfig {
     pub voxels_max: usize,
     /// A batch with changes closes after this time: the paper's `t_l`. Milliseconds, at least 1. Default 500.
     pub publish_period_ms: u32,
-    /// Obstacles go out after this time, ahead of free space, which waits for `publish_period_ms`. Either goes out with the
-    /// scan before its time if the next scan would come after it, so that nothing waits while nothing comes.
+    /// Obstacles go out after this time, ahead of free space, which waits for `publish_period_ms`. Both go out
+    /// earlier, with a scan, if the next scan is expected after the end of the period.
     /// Milliseconds, at least 1. Default `None`: both together after `publish_period_ms`.
     pub obstacle_period_ms: Option<u32>,
 }

@@ -95,7 +95,7 @@ impl Robot {
         let own = Stream { origin: config.id, epoch: config.epoch };
         let resolution = config.mapper.resolution;
         let mut session = config.session.clone();
-        session.hurry_obstacles &= config.batch.obstacle_period_ms.is_some();
+        session.fast_repair &= config.batch.obstacle_period_ms.is_some();
         Ok(Self {
             now,
             mapper: Mapper::new(config.mapper.clone())?,

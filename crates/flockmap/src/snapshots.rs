@@ -307,6 +307,29 @@ mod tests {
     }
 
     #[test]
+    fn a_limit_of_zero_for_a_piece_ends_in_a_piece() {
+        let (mut layer, form) = (layer(), Form { piece_bytes: 0, ..FORM });
+        // Nothing stands any more of package 1, so that no piece can end with it.
+        for (stamp, x) in [(2, 0), (3, 100)] {
+            let voxels = (0..16).flat_map(|y| (0..16).flat_map(move |z| (x..x + 16).map(move |x| (x, y, z))));
+            let voxels = voxels.map(|(x, y, z)| (Voxel::new(x, y, z), State::Free));
+            layer.apply(&Changes::from_voxels(voxels), Stamp(stamp));
+        }
+        let stamps = vec![(1, Stamp(1))];
+        let cuts = Cuts { stamps, newest: 3, has_all: true, changed_upto: None, says_upto: None };
+        let mut snapshots = Snapshots::default();
+        snapshots.want(Wanted { in_pieces: true, upto: 3, ..wanted(1, None) });
+        snapshots.note_call();
+        let wanted = snapshots.take_turn().unwrap();
+        snapshots.begin(&layer, wanted, cuts, form);
+        let made = (0..1_000).find_map(|_| {
+            snapshots.note_call();
+            snapshots.go_on(form)
+        });
+        assert!(!made.expect("no endless loop").1.unwrap().is_empty());
+    }
+
+    #[test]
     fn one_whose_layer_is_forgotten_is_let_go_of() {
         let (layer, mut snapshots) = (layer(), Snapshots::default());
         snapshots.want(wanted(1, None));

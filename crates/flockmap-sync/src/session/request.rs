@@ -32,9 +32,9 @@ impl Session {
         let for_gap = timers.is_due(Timer::Gap, now);
         let for_all = [Timer::Request, Timer::Greeting, Timer::Probe].iter().any(|t| timers.is_due(*t, now));
         let is_small = self.peers.len() <= SMALL_SWARM;
-        let is_hurried = for_gap && !for_all && self.hurries(now);
+        let is_fast_repair = for_gap && !for_all && self.repairs_fast(now);
         let is_short =
-            !timers.is_due(Timer::Request, now) && (!is_small || is_hurried) && self.schedule.count > 0;
+            !timers.is_due(Timer::Request, now) && (!is_small || is_fast_repair) && self.schedule.count > 0;
         let to = if for_gap && !for_all { self.whom_to_ask(now) } else { Destination::Everyone };
         let copies = self.copies(to);
         let header = self.header(now, Kind::Request);

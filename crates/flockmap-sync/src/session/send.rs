@@ -44,7 +44,7 @@ impl Session {
             match self.attempt(now, id) {
                 Attempt::Send { bytes, items } => {
                     self.outbox.served = id;
-                    self.note_hurry(now, &items, bytes.len());
+                    self.note_obstacles_sent(now, &items, bytes.len());
                     return Some(self.sent_to(now, id, bytes, &items));
                 }
                 Attempt::BudgetExhausted => {

@@ -98,7 +98,7 @@ impl Session {
         }
         let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
         let variation = others.map(|peer| peer.round_trip.variation()).max().unwrap_or_default();
-        let patience = self.hurried_patience(now, variation);
+        let patience = self.gap_patience(now, variation);
         let at = now.plus(patience).max(self.schedule.last.plus(self.gap_pause(now, except)));
         self.schedule.timers.set_sooner(Timer::Gap, at.plus(self.gap_delay()));
     }
@@ -107,7 +107,7 @@ impl Session {
     fn gap_pause(&self, now: Stamp, except: Option<RobotId>) -> Duration {
         let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
         let tries = match others.clone().count() {
-            0..=SMALL_SWARM if self.hurries(now) => GAP_TRIES * self.round_trip_parts(),
+            0..=SMALL_SWARM if self.repairs_fast(now) => GAP_TRIES * self.requests_per_round_trip(),
             0..=SMALL_SWARM => GAP_TRIES,
             _ => GAP_TRIES_OF_MANY,
         };

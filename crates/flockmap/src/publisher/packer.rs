@@ -10,7 +10,7 @@ use crate::BatchConfig;
 /// Of a batch that is published in parts, so many of obstacles alone come before one with free space, if
 /// there are as many.
 const OBSTACLES_IN_ROW: u32 = 3;
-/// The next scan is not expected later than this.
+/// Longest pause between scans that is reckoned with.
 const SCAN_PAUSE_MAX: Duration = Duration::from_secs(1);
 
 /// Closes batches: takes the net changes from the mapper when enough have come up or enough time has passed.
@@ -24,7 +24,7 @@ pub struct Packer {
     closed_free: Stamp,
     /// Of a batch that is published in parts: how many of the parts of obstacles alone are used up.
     obstacles_in_row: u32,
-    /// When the newest scan came and the next one will have come, as long as no batch was closed since.
+    /// When the newest scan came, and by when the next one is expected; `None`: a batch was closed since.
     scanned: Option<[Stamp; 2]>,
     /// Mean pause between the last scans.
     scan_pause: Option<Duration>,
@@ -70,8 +70,8 @@ impl Packer {
         self.stream = stream;
     }
 
-    /// Notes a scan that the mapper has taken in: it is the time of what has changed, and the place that it
-    /// was seen from.
+    /// Notes a scan that the mapper has taken in, now on the robot's clock: it is the time of what has changed, and the place
+    /// that it was seen from.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn note_scan(&mut self, now: Stamp, stamp: Stamp, T_map_sensor: &Pose) {
         self.note_observed(now, stamp, Some(T_map_sensor.translation()));
@@ -85,10 +85,11 @@ impl Packer {
             self.newest_sensor = sensor.map(|metres| (metres * sixteenths).round() as i32);
             self.first_sensor.get_or_insert(self.newest_sensor);
         }
-        let pause = stamp.since(self.newest_scan).min(SCAN_PAUSE_MAX);
-        self.scan_pause =
-            self.occupied_from.map(|_| self.scan_pause.map_or(pause, |mean| (3 * mean + pause) / 4));
-        // Scans do not come on time to the millisecond.
+        if self.occupied_from.is_some() {
+            let pause = stamp.since(self.newest_scan).min(SCAN_PAUSE_MAX);
+            self.scan_pause = Some(self.scan_pause.map_or(pause, |mean| (3 * mean + pause) / 4));
+        }
+        // Scans come early and late by some milliseconds.
         let pause = self.scan_pause.map_or_else(|| self.obstacle_period(), |pause| pause * 5 / 4);
         self.scanned = Some([now, now.plus(pause)]);
         if self.newest_scan < stamp || self.last_end.is_none() {
@@ -111,8 +112,8 @@ impl Packer {
         Some(if self.config.obstacle_period_ms.is_some() { free.min(occupied) } else { free })
     }
 
-    /// When a batch is due. Where obstacles go ahead: with the newest scan already if the next one would come after the
-    /// batch's time, since what that scan saw would wait for nothing.
+    /// When a batch is due. Where obstacles go ahead, already with the newest scan if the next one is expected after the end
+    /// of the period: until then nothing would be added.
     fn due(&self, closed: Stamp, period: Duration) -> Stamp {
         let due = closed.plus(period);
         let scanned =
@@ -120,7 +121,7 @@ impl Packer {
         scanned.map_or(due, |[at, _]| at.min(due))
     }
 
-    /// When a batch counts as closed that is closed now: not before its time, so that there is one in a period, no more.
+    /// When a batch that is closed now counts as closed: not before its period ends, so that on average each period has one.
     fn closed(&self, now: Stamp, closed: Stamp, period: Duration) -> Stamp {
         if now >= self.due(closed, period) { now.max(closed.plus(period)) } else { now }
     }

@@ -7,8 +7,8 @@
 //! allowed, and counted as relayed. A chunk that is broadcast for one peer while another one begins the same
 //! snapshot may go out again, and so may what a broadcast brings to a peer whose ledger is full. Sessions
 //! that compare successive requests (the paper's) measure no round trip and are asked the second thing only.
-//! A robot that was lost from sight, or began anew, may be sent everything again. Where obstacles hurry and a third of what
-//! is sent gets lost, a package with obstacles may go out a second time, not before 20 ms have passed.
+//! A robot that was lost from sight, or began anew, may be sent everything again. With fast repair and a third of losses
+//! a package with obstacles may go out a second time after 20 ms.
 
 use super::Finding;
 use flockmap::codec::{ContentKind, Priority};
@@ -19,9 +19,9 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 const NAME: &str = "twice";
 
-/// Microseconds, on the clock of the robot, after which a package may go out again in a hurry.
-const HURRIED_AFTER: i64 = 20_000;
-/// And for how long after losses were high.
+/// Microseconds, on the robot's clock, after which fast repair may send a package again …
+const REPEATED_AFTER: i64 = 20_000;
+/// … and for how long after losses were last high: what is due waits for its budget, while losses change.
 const LOSSY_FOR: i64 = 2_000_000;
 
 /// A package by its index, or a chunk by its snapshot and number.
@@ -32,8 +32,8 @@ type Item = (Stream, u32, Option<(u32, u32)>);
 struct Pair {
     /// When each item was sent last: in the time of the flight, and on the robot's clock.
     sent: FxHashMap<Item, (i64, Stamp)>,
-    /// What went out a second time in a hurry, and has not gone out again since.
-    hurried: FxHashSet<Item>,
+    /// What fast repair sent a second time, until it is sent again for another reason.
+    repeated: FxHashSet<Item>,
     /// The peer's newest request that arrived.
     request: Option<(Stamp, Request)>,
     /// When a round trip to it was first measured, on the robot's clock.
@@ -97,7 +97,6 @@ impl Twice {
         // Until a round trip is measured, the configured one is all that is known: on the robot's clock, like
         // all its times.
         let initial = 1_000 * i64::from(config.round_trip_initial_ms);
-        // What is due waits for its budget, while losses change.
         if robot.session().peers().any(|peer| peer.loss >= (1 << 16) / 3) {
             self.lossy = Some(now.0);
         }
@@ -120,7 +119,7 @@ impl Twice {
             };
             let item = (header.stream, header.index, chunk);
             let is_noted = ledger && (chunk.is_none() || to.is_some());
-            let may_hurry = config.hurry_obstacles && is_lossy && header.priority == Priority::Obstacles;
+            let may_repeat = config.fast_repair && is_lossy && header.priority == Priority::Obstacles;
             let mut reasons = Vec::new();
             for (stream, is_full) in &peers {
                 let peer = stream.origin;
@@ -143,7 +142,7 @@ impl Twice {
                     && now.0 - before < round_trip
                     // What was found lost until a round trip was measured stays lost.
                     && pair.measured.unwrap_or(now.1).micros_since(shown) < initial
-                    && !(may_hurry && now.1.micros_since(shown) >= HURRIED_AFTER && pair.hurried.insert(item))
+                    && !(may_repeat && now.1.micros_since(shown) >= REPEATED_AFTER && pair.repeated.insert(item))
                 {
                     let least = if pair.measured.is_some() { round_trip } else { round_trip.min(initial) };
                     let (ago, least) = ((now.0 - before) as f64 / 1e3, least as f64 / 1e3);
@@ -151,7 +150,7 @@ impl Twice {
                         "sent to {peer:?} {ago:.3} ms ago, and a round trip takes {least:.3} ms"
                     ));
                 } else if before.is_none_or(|(before, _)| now.0 - before >= round_trip) {
-                    pair.hurried.remove(&item);
+                    pair.repeated.remove(&item);
                 }
             }
             if reasons.len() == peers.len() {

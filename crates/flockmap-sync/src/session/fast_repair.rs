@@ -1,5 +1,6 @@
-//! Obstacles where losses are high: peers are soon shown which were sent, ask sooner for what they lack, and where a third
-//! is lost are sent everything twice. So one age of an obstacle in a hundred costs some round trips, not some periods.
+//! Fast repair of obstacles where losses are high. Probes show the peers soon what was sent (as a tail loss probe does,
+//! RFC 8985), gaps are asked for more often, and from a third of losses on obstacles are sent twice. A lost package then
+//! costs some round trips, not some periods.
 
 use super::Session;
 use crate::config::ms;
@@ -14,36 +15,36 @@ use core::time::Duration;
 use flockmap_codec::Priority;
 use flockmap_grid::Stamp;
 
-/// On radios that carry less for a robot nothing hurries: all that is sent twice is missing elsewhere.
-const BYTES_PER_S_MIN: u32 = 16_000;
-/// Share of losses from which obstacles hurry …
+/// Least rate: on a thinner radio what is sent twice takes the place of what is not sent at all.
+const RATE_MIN: u32 = 16_000;
+/// Share of losses from which repair is fast …
 const LOSS_MIN: u32 = LOSS_ONE / 20;
-/// … and from which they are sent twice.
+/// … and from which obstacles are sent twice.
 const TWICE_LOSS_MIN: u32 = LOSS_ONE / 3;
-/// So many to a peer at once.
+/// At most so many to a peer at once …
 const TWICE_MAX: usize = 64;
-/// The second time comes so much later.
+/// … the second time so much later.
 const TWICE_AFTER: Duration = Duration::from_millis(20);
-/// A probe takes some 64 bytes on the air. One goes out for each so many bytes of obstacles, no more.
+/// A probe takes some 64 bytes on the air. At most one goes out for every so many bytes of obstacles.
 const PROBE_EVERY: usize = 448;
-/// Older obstacles do not hurry.
+/// Older obstacles are repaired as everything else: who catches up lacks thousands of them.
 const FRESH_FOR: Duration = Duration::from_secs(2);
-/// Whoever was probed hurries too, for so long.
+/// A robot that was probed asks more often for so long.
 const PROBED_FOR: Duration = Duration::from_secs(2);
 
 impl Session {
-    /// Whether obstacles hurry: in a small swarm, where a peer loses much, or says that this robot does.
-    pub(super) fn hurries(&self, now: Stamp) -> bool {
+    /// Whether repair is fast: in a small swarm, on a radio with room for it, where a peer loses much or has sent a probe.
+    pub(super) fn repairs_fast(&self, now: Stamp) -> bool {
         let rate = self.radio_bytes_per_s().into_iter().chain(self.config.link_bytes_per_s).min();
-        self.config.hurry_obstacles
+        self.config.fast_repair
             && self.peers.len() <= SMALL_SWARM
-            && rate.is_none_or(|rate| rate >= BYTES_PER_S_MIN)
+            && rate.is_none_or(|rate| rate >= RATE_MIN)
             && (now.since(self.schedule.probed) < PROBED_FOR || self.loses(LOSS_MIN))
     }
 
-    /// Part of the round trip that passes between two requests for a gap: an answer takes all of it, but either may be
-    /// lost. What is asked for again while the answer is on its way is not sent again.
-    pub(super) fn round_trip_parts(&self) -> u32 {
+    /// Requests for a gap in one round trip, since each may be lost. Those that come while the answer is in flight are not
+    /// answered again.
+    pub(super) fn requests_per_round_trip(&self) -> u32 {
         if self.loses(TWICE_LOSS_MIN) { 4 } else { 2 }
     }
 
@@ -51,8 +52,8 @@ impl Session {
         self.peers.values().any(|peer| peer.loss.share() >= share)
     }
 
-    /// Notes that packages go out.
-    pub(super) fn note_hurry(&mut self, now: Stamp, items: &[Item], bytes: usize) {
+    /// Packages go out: if obstacles are among them, a probe or their repetition is due.
+    pub(super) fn note_obstacles_sent(&mut self, now: Stamp, items: &[Item], bytes: usize) {
         let own = self.identity.own;
         let newest = items.iter().filter_map(|item| match *item {
             Item::Package { stream, index } if stream == own => Some(index),
@@ -65,26 +66,25 @@ impl Session {
         }
         let is_new = newest > self.schedule.newest_sent;
         self.schedule.newest_sent = self.schedule.newest_sent.max(newest);
-        if !self.hurries(now) || !items.iter().any(|item| hurries(&self.store, now, *item)) {
+        if !self.repairs_fast(now) || !items.iter().any(|item| is_fresh_obstacle(&self.store, now, *item)) {
             return;
         }
         if self.loses(TWICE_LOSS_MIN) {
-            self.schedule.timers.set_sooner(Timer::Hurry, now.plus(TWICE_AFTER));
+            self.schedule.timers.set_sooner(Timer::FastRepair, now.plus(TWICE_AFTER));
         } else if is_new {
             self.schedule.unprobed += bytes;
             if self.schedule.unprobed >= PROBE_EVERY {
                 let variation = self.peers.values().map(|peer| peer.round_trip.variation()).max();
-                // Then the peers need not wait for datagrams that overtake each other.
+                // Late enough that the peers need not wait for reordered datagrams.
                 let patience = self.config.patience(variation.unwrap_or_default()) + Duration::from_millis(1);
-                self.schedule.timers.set(Timer::Hurry, self.schedule.probe_from.max(now.plus(patience)));
+                self.schedule.timers.set(Timer::FastRepair, self.schedule.probe_from.max(now.plus(patience)));
             }
         }
     }
 
-    /// What is due of a hurry: what goes out again is put into the queues; else a probe, a short request that names
-    /// nothing but the own run.
-    pub(super) fn transmit_hurry(&mut self, now: Stamp) -> Option<Transmit> {
-        self.schedule.timers.stop(Timer::Hurry);
+    /// Puts obstacles into the queues once more, or sends a probe: a short request that names nothing but the own run.
+    pub(super) fn transmit_fast_repair(&mut self, now: Stamp) -> Option<Transmit> {
+        self.schedule.timers.stop(Timer::FastRepair);
         if self.loses(TWICE_LOSS_MIN) {
             self.repeat_obstacles(now);
             return None;
@@ -103,7 +103,7 @@ impl Session {
         let each = bytes.len() + self.overhead(Kind::Request);
         let (to, copies) = (Destination::Everyone, self.copies(Destination::Everyone));
         if !self.spend(now, to, each, copies as usize) {
-            // There is none to spare: the next packages show it.
+            // The budget has no room. The next packages show the gap, too.
             return None;
         }
         self.schedule.unprobed = 0;
@@ -113,13 +113,13 @@ impl Session {
         Some(Transmit { to, path: None, bytes })
     }
 
-    /// Obstacles that are in flight to peers that lose every third datagram count as lost, once.
+    /// Obstacles in flight to peers that lose a third or more count as lost, once each.
     fn repeat_obstacles(&mut self, now: Stamp) {
         let Self { peers, store, config, .. } = self;
         let before = now.plus_micros(-(TWICE_AFTER.as_micros() as i64));
         for peer in peers.values_mut().filter(|peer| peer.loss.share() >= TWICE_LOSS_MIN) {
             let goes = |sent: &&crate::peer::SentPackage| {
-                !sent.is_repeated && sent.at <= before && hurries(store, now, sent.item)
+                !sent.is_repeated && sent.at <= before && is_fresh_obstacle(store, now, sent.item)
             };
             peer.forget_repeated();
             let room = TWICE_MAX.saturating_sub(peer.repeating.len());
@@ -130,7 +130,7 @@ impl Session {
         }
     }
 
-    /// A peer shows which of its packages it has sent.
+    /// A probe has shown that something is missing here.
     pub(super) fn note_probed(&mut self, now: Stamp) {
         self.schedule.probed = now;
         if self.config.gap_requests {
@@ -140,9 +140,9 @@ impl Session {
         }
     }
 
-    /// How long to wait for datagrams that were overtaken, before something that is missing is asked for.
-    pub(super) fn hurried_patience(&self, now: Stamp, variation: Duration) -> Duration {
-        if self.hurries(now) {
+    /// How long a gap may come of reordered datagrams, before it is asked for.
+    pub(super) fn gap_patience(&self, now: Stamp, variation: Duration) -> Duration {
+        if self.repairs_fast(now) {
             self.config.patience(variation).min((2 * variation).max(Duration::from_millis(5)))
         } else {
             self.config.patience(variation)
@@ -152,16 +152,15 @@ impl Session {
     /// Least pause between two requests for a gap, as far as their bytes allow it.
     pub(super) fn gap_pause_shortest(&self, now: Stamp, round_trip: Duration) -> Duration {
         let pause = ms(self.config.gap_request_pause_ms);
-        if self.hurries(now) {
-            (round_trip / self.round_trip_parts()).max(pause / 10)
+        if self.repairs_fast(now) {
+            (round_trip / self.requests_per_round_trip()).max(pause / 10)
         } else {
             pause.max(round_trip)
         }
     }
 }
 
-/// Whether it is a package with obstacles that a planner waits for. Who catches up waits for thousands.
-fn hurries(store: &Store, now: Stamp, item: Item) -> bool {
+fn is_fresh_obstacle(store: &Store, now: Stamp, item: Item) -> bool {
     let Item::Package { stream, index } = item else { return false };
     store.get(stream, index).is_some_and(|stored| {
         stored.package.header().priority == Priority::Obstacles && now.since(stored.fresh_at) < FRESH_FOR
@@ -169,7 +168,7 @@ fn hurries(store: &Store, now: Stamp, item: Item) -> bool {
 }
 
 impl Peer {
-    /// What was to go out again and has come meanwhile.
+    /// Drops what was to go out again and has arrived meanwhile.
     fn forget_repeated(&mut self) {
         let mut repeating = core::mem::take(&mut self.repeating);
         repeating.retain(|item| self.lacks(*item));
