@@ -125,6 +125,11 @@ impl PieceReader {
         self.ended_at
     }
 
+    /// The newest package of the whole state.
+    pub const fn newest(&self) -> u32 {
+        self.span.upto
+    }
+
     /// Whether there is something of packages after this one, and all of it.
     pub fn has(&self, since: u32) -> bool {
         (self.listed_since..self.span.upto).contains(&since)

@@ -114,12 +114,14 @@ impl Snapshots {
         self.making = Some(making);
     }
 
-    /// The state of which a piece ended where this one is to begin, or any other one of the stream.
+    /// The state of which a piece ended where this one is to begin; or another one of the stream that has all packages up to
+    /// the wanted one: who wants a piece of an older state once more may lack what is newer.
     fn kept_for(&self, wanted: &Wanted) -> Option<usize> {
         let is_of = |source: &Source| source.stream == wanted.stream && source.reader.has(wanted.since);
         let ends_there = |source: &Source| is_of(source) && source.reader.ended_at() == wanted.since;
-        let (exact, any) = (self.kept.iter().rposition(ends_there), self.kept.iter().rposition(is_of));
-        exact.or(any).filter(|_| wanted.in_pieces && wanted.since > 0)
+        let has_all = |source: &Source| is_of(source) && source.reader.newest() >= wanted.upto;
+        let (exact, other) = (self.kept.iter().rposition(ends_there), self.kept.iter().rposition(has_all));
+        exact.or(other).filter(|_| wanted.in_pieces && wanted.since > 0)
     }
 
     /// Lets go of what was kept for further pieces where that is too much by now. `left`: of a layer that is there, its
@@ -304,6 +306,33 @@ mod tests {
         }
         assert_eq!(made, [3, 1, 2]);
         assert!(!snapshots.is_busy());
+    }
+
+    #[test]
+    fn a_piece_of_an_older_state_is_given_once_and_then_one_of_the_newest() {
+        let (mut layer, form) = (Layer::default(), Form { piece_bytes: 1, ..FORM });
+        let (mut snapshots, mut published) = (Snapshots::default(), 0);
+        // (since, packages by then, the newest package of the state of which the piece is)
+        for (since, newest, of) in [(0, 3, 3), (1, 5, 3), (1, 5, 5), (2, 5, 5)] {
+            while published < newest {
+                published += 1;
+                let voxels = (0..8).map(|x| (Voxel::new(8 * published as i32 + x, 0, 0), State::Free));
+                layer.apply(&Changes::from_voxels(voxels), Stamp(published.into()));
+            }
+            let stamps = (1..newest).map(|number| (number, Stamp(number.into()))).collect();
+            let cuts = Cuts { stamps, newest, has_all: true, changed_upto: None, says_upto: None };
+            let newer_than = (since > 0).then_some(Stamp(since.into()));
+            snapshots.want(Wanted { since, upto: newest, in_pieces: true, ..wanted(1, newer_than) });
+            snapshots.note_call();
+            let wanted = snapshots.take_turn().unwrap();
+            snapshots.begin(&layer, wanted, cuts, form);
+            let made = (0..1_000).find_map(|_| {
+                snapshots.note_call();
+                snapshots.go_on(form)
+            });
+            let chunks = made.unwrap().1.unwrap();
+            assert_eq!((chunks[0].header().index, chunks[0].header().changed_upto), (since + 1, Some(of)));
+        }
     }
 
     #[test]
