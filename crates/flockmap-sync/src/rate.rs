@@ -5,24 +5,33 @@
 //! target, a queue stands: the rate goes down to this robot's share of what the radio carries. Else it goes up,
 //! as long as it is used.
 //!
-//! The clocks need not agree: a queueing delay is measured against the base delay, the least one of the last one
-//! to two minutes.
+//! A queue may stand whatever this robot does: others' traffic (TCP, a video) fills it. So the rate does not go below a
+//! share of 45 % of what the radio is known to carry, and does not rise above it until that traffic yields.
+//!
+//! A short queue overflows before its delay shows. So losses count as a queue too, where they are more than usual.
+
+mod capacity;
+mod losses;
+mod queueing;
+mod sent_log;
+
+pub(crate) use queueing::QueueingDelay;
 
 use crate::pacer::{TokenBucket, burst_bytes};
+use capacity::{Arrived, BYTES_PER_S_MAX, Capacity, FULL_DATAGRAM, SECOND, per_second};
 use core::time::Duration;
 use flockmap_grid::Stamp;
-use std::collections::VecDeque;
+use losses::Losses;
+use sent_log::SentLog;
 
 /// The rate before anything is known of the radio.
 const INITIAL: u32 = 250_000;
 /// Least rate: a full datagram in a minute.
-const MIN: u32 = 20;
-const MAX: u32 = 1 << 30;
+const BYTES_PER_S_MIN: u32 = 20;
 /// Target: a queue stands if no datagram queued for less than this …
 const TARGET: i64 = 100_000;
 /// … and the time of two full datagrams, at most this.
 const TARGET_MAX: i64 = 2_000_000;
-const FULL_DATAGRAM: i64 = 1_228;
 /// Bytes of packages that may be out of which no peer has said yet that they have arrived: at first; later as many as in
 /// two seconds. As long as no queue stood, it grows by what has arrived.
 const UNECHOED_MIN: u64 = 8_000;
@@ -31,7 +40,6 @@ const UNECHOED_MIN: u64 = 8_000;
 const UNHEARD_BYTES_PER_S: u64 = 1_300;
 /// Looked at again after so long.
 const ECHO_PAUSE: Duration = Duration::from_millis(20);
-const SECOND: i64 = 1_000_000;
 /// The rate is set anew after so many samples, over so long …
 const OWN_SAMPLES: u32 = 3;
 const HEARD_SAMPLES: u32 = 8;
@@ -40,76 +48,18 @@ const WINDOW_MIN: i64 = 500_000;
 const WINDOW_LONG: i64 = 2_000_000;
 /// Samples that are too few are forgotten after so long.
 const WINDOW_MAX: i64 = 20_000_000;
-
-/// How long datagrams in one direction queue: the delay of each against the base delay.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct QueueingDelay {
-    /// The least delay of this minute and of the one before, in microseconds, between two clocks.
-    least: Option<[i64; 2]>,
-    since: Option<Stamp>,
-}
-
-const SPAN: Duration = Duration::from_secs(60);
-const NOISE: i64 = 20_000;
-/// A datagram that seems to have queued for longer comes of a clock that was set.
-const QUEUED_MAX: i64 = 300_000_000;
-
-impl QueueingDelay {
-    /// Microseconds that a datagram queued, from its delay between two clocks that need not agree. `None`: not
-    /// known, since it is the first one, or lowers the base delay, or a clock was set.
-    pub(crate) fn sample(&mut self, now: Stamp, delay: i64) -> Option<i64> {
-        let is_first = self.least.is_none();
-        let [mut this, mut before] = self.least.unwrap_or([delay; 2]);
-        let is_less = delay < this.min(before).saturating_sub(NOISE);
-        if now.since(*self.since.get_or_insert(now)) >= SPAN {
-            (this, before, self.since) = (delay, this, Some(now));
-        }
-        this = this.min(delay);
-        self.least = Some([this, before]);
-        let queued = delay.saturating_sub(this.min(before));
-        (!is_first && !is_less && queued < QUEUED_MAX).then_some(queued)
-    }
-}
-
-/// Bytes sent so far, by the time at which they were.
-#[derive(Clone, Debug, Default)]
-struct SentLog {
-    bytes: u64,
-    /// At most [`LOG_MAX`], not nearer to each other than [`LOG_GRAIN`], and the farther apart the older they are: of a
-    /// day some 400.
-    points: VecDeque<(Stamp, u64)>,
-}
-
-const LOG_MAX: usize = 512;
-const LOG_GRAIN: i64 = 50_000;
-/// Nor than their age by this.
-const LOG_PRECISION: i64 = 32;
-
-impl SentLog {
-    fn add(&mut self, now: Stamp, bytes: u64) {
-        self.bytes += bytes;
-        match self.points.back_mut() {
-            Some(last) if now.micros_since(last.0) < LOG_GRAIN => last.1 = self.bytes,
-            _ => self.points.push_back((now, self.bytes)),
-        }
-        if self.points.len() > LOG_MAX {
-            let mut kept = Stamp(i64::MIN);
-            self.points.retain(|(at, _)| {
-                let is_kept = at.micros_since(kept) >= now.micros_since(*at) / LOG_PRECISION;
-                kept = if is_kept { *at } else { kept };
-                is_kept
-            });
-            // Of days.
-            self.points.drain(..self.points.len().saturating_sub(LOG_MAX));
-        }
-    }
-
-    /// Bytes sent up to a time.
-    fn upto(&self, at: Stamp) -> Option<u64> {
-        let after = self.points.partition_point(|(sent, _)| *sent <= at);
-        self.points.get(after.checked_sub(1)?).map(|(_, bytes)| *bytes)
-    }
-}
+/// Of what the radio carries so much is for the robots, in per cent, if others fill the queue, …
+const OURS: i64 = 45;
+/// … which may be so if a queue stands while they take less than this of it themselves. It is so if it stands for so long,
+/// and three times as long as it takes to drain, and so long that each robot could have sent four full datagrams.
+const OURS_MAX: i64 = 70;
+const PATIENCE: i64 = 4 * SECOND;
+/// Looked at again after so long.
+const OTHERS_FOR: i64 = 30 * SECOND;
+/// So many pairs are sent on purpose.
+const PAIRS_SENT_MAX: u32 = 16;
+/// Datagrams sent within so long are sent at once.
+const AT_ONCE: i64 = 1_000;
 
 /// What was seen since the rate was set last.
 #[derive(Clone, Debug)]
@@ -152,25 +102,47 @@ pub(crate) struct Arrival {
     pub(crate) arrived: Stamp,
 }
 
+/// A datagram of another robot.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Heard {
+    pub(crate) bytes: usize,
+    /// Its send stamp, and when the one of that robot before it was sent and came.
+    pub(crate) sent: Stamp,
+    pub(crate) before: Option<(Stamp, Stamp)>,
+    /// `None`: not known.
+    pub(crate) queued: Option<i64>,
+}
+
 /// The rate of one robot. Memory: 8 KiB.
 #[derive(Clone, Debug)]
 pub(crate) struct Rate {
     bytes_per_s: u32,
     bucket: TokenBucket,
-    /// When it went down last: what was sent before says nothing of the rate since.
-    changed_at: Stamp,
-    /// No queue stood yet: the rate may double.
-    in_slow_start: bool,
+    /// When a queue stood last: what was sent before says nothing of the rate since.
+    stood_at: Stamp,
+    went_down_at: Stamp,
+    /// When a queue stood for the first time. Before that the rate may double.
+    began_at: Option<Stamp>,
+    stands: bool,
     log: SentLog,
+    sent_at: Stamp,
+    pairs_sent: u32,
     window: Option<Window>,
     newest_own: Stamp,
     /// What all robots together sent when a queue stood last, as far as it is heard.
-    capacity: i64,
+    carried_then: i64,
+    capacity: Capacity,
+    losses: Losses,
+    /// Others' traffic fills the queue, as far as is known.
+    others_until: Stamp,
     /// Own bytes a second that arrived, by the last echoes.
     delivery_rate: Option<u32>,
     /// Bytes sent up to the newest own datagram of which a peer said that it has arrived, and when that one was sent.
     echoed: u64,
     echoed_upto: Option<Stamp>,
+    /// Bytes of others heard, and of so many bytes of them one.
+    heard: u64,
+    heard_of: i64,
     /// Most bytes that may be out without such a word, as long as no queue stood.
     window_bytes: u64,
 }
@@ -185,15 +157,24 @@ impl Rate {
         Self {
             bytes_per_s: INITIAL,
             bucket: TokenBucket::new(INITIAL, burst(INITIAL)),
-            changed_at: Stamp(i64::MIN),
-            in_slow_start: true,
+            stood_at: Stamp(i64::MIN),
+            went_down_at: Stamp(i64::MIN),
+            began_at: None,
+            stands: false,
             log: SentLog::default(),
+            sent_at: Stamp(i64::MIN),
+            pairs_sent: 0,
             window: None,
             newest_own: Stamp(i64::MIN),
-            capacity: 0,
+            carried_then: 0,
+            capacity: Capacity::new(),
+            losses: Losses::new(),
+            others_until: Stamp(i64::MIN),
             delivery_rate: None,
             echoed: 0,
             echoed_upto: None,
+            heard: 0,
+            heard_of: 1,
             window_bytes: UNECHOED_MIN,
         }
     }
@@ -213,36 +194,64 @@ impl Rate {
     }
 
     fn unechoed_max(&self) -> u64 {
-        if self.in_slow_start { self.window_bytes } else { UNECHOED_MIN.max(2 * u64::from(self.bytes_per_s)) }
+        if self.in_slow_start() {
+            self.window_bytes
+        } else {
+            UNECHOED_MIN.max(2 * u64::from(self.bytes_per_s))
+        }
     }
 
     /// No queue stood yet.
     pub(crate) const fn in_slow_start(&self) -> bool {
-        self.in_slow_start
+        self.began_at.is_none()
     }
 
     pub(crate) const fn bytes_per_s(&self) -> u32 {
         self.bytes_per_s
     }
 
-    /// `None` if `bytes` may be sent now, else the earliest time at which they may.
+    /// `None` if `bytes` may be sent now, else the earliest time at which they may. Where a queue stands, in pairs: others
+    /// learn from them what the radio carries.
     pub(crate) fn wait(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
-        self.bucket.wait(now, bytes)
+        let begins_pair = self.stands
+            && self.pairs_sent < PAIRS_SENT_MAX
+            && !self.capacity.is_known_by_pairs()
+            && now.micros_since(self.sent_at) > AT_ONCE
+            && 2 * bytes <= burst(self.bytes_per_s) as usize;
+        let wait = self.bucket.wait(now, if begins_pair { 2 * bytes } else { bytes });
+        self.pairs_sent += u32::from(begins_pair && wait.is_none());
+        wait
     }
 
     /// Bytes go out, all copies of them.
     pub(crate) fn spend(&mut self, now: Stamp, bytes: usize) {
         self.bucket.spend(now, bytes);
         self.log.add(now, bytes as u64);
+        self.sent_at = now;
         self.echoed_upto.get_or_insert(now);
     }
 
-    /// A datagram of another robot was heard, which had queued for so long; `None`: not known.
-    pub(crate) fn note_heard(&mut self, now: Stamp, bytes: usize, queued: Option<i64>) {
-        let (changed_at, window) = (self.changed_at, self.window(now));
-        window.heard += bytes as u64;
-        if let Some(queued) = queued.filter(|&queued| now.plus_micros(-queued) >= changed_at) {
+    /// A datagram of another robot was heard.
+    pub(crate) fn note_heard(&mut self, now: Stamp, heard: Heard) {
+        self.heard += heard.bytes as u64;
+        if let (Some(queued), Some((sent, arrived))) = (heard.queued, heard.before)
+            && queued > TARGET
+            && (0..AT_ONCE).contains(&heard.sent.micros_since(sent))
+        {
+            self.capacity.note_pair(heard.bytes, now.micros_since(arrived));
+        }
+        let (stood_at, window) = (self.stood_at, self.window(now));
+        window.heard += heard.bytes as u64;
+        if let Some(queued) = heard.queued.filter(|&queued| now.plus_micros(-queued) >= stood_at) {
             window.others = (window.others.0 + 1, window.others.1.min(queued));
+        }
+    }
+
+    /// Whether an own datagram arrived.
+    pub(crate) fn note_outcome(&mut self, now: Stamp, sent: Stamp, is_lost: bool) {
+        self.capacity.note_outcome(sent, is_lost);
+        if sent >= self.stood_at {
+            self.losses.note(now, is_lost);
         }
     }
 
@@ -264,9 +273,15 @@ impl Rate {
             && let (Some(then), Some(now)) = (self.log.upto(before.sent), self.log.upto(arrival.sent))
         {
             let rate = now.saturating_sub(then) * SECOND as u64 / passed as u64;
-            self.delivery_rate = Some(rate.min(MAX.into()) as u32);
+            self.delivery_rate = Some(rate.min(BYTES_PER_S_MAX.into()) as u32);
         }
-        if let Some(queued) = queued.filter(|_| arrival.sent >= self.changed_at) {
+        if let Some(queued) = queued.filter(|_| self.began_at.is_some_and(|began| arrival.sent >= began)) {
+            let own_at = arrival.sent.plus_micros(queued);
+            let arrived =
+                Arrived { sent: arrival.sent, own: self.echoed, own_at, heard: self.heard, heard_at: now };
+            self.capacity.note_arrived(now, arrived, self.heard_of);
+        }
+        if let Some(queued) = queued.filter(|_| arrival.sent >= self.stood_at) {
             let is_new = arrival.sent > self.newest_own;
             self.newest_own = self.newest_own.max(arrival.sent);
             let window = self.window(now);
@@ -282,49 +297,77 @@ impl Rate {
         self.window.get_or_insert_with(|| Window::new(now, sent))
     }
 
-    /// Sets the rate anew if enough was seen; whether it is another one now. `peers`: how many share the radio,
-    /// where all that they send is heard.
-    pub(crate) fn review(&mut self, now: Stamp, peers: Option<usize>) -> bool {
+    /// Sets the rate anew if enough was seen; whether it is another one now. `peers`: how many share the radio;
+    /// `is_heard_by_all`: all that they send is heard.
+    pub(crate) fn review(&mut self, now: Stamp, peers: usize, is_heard_by_all: bool) -> bool {
         let Some(window) = &self.window else { return false };
         let passed = now.micros_since(window.since);
-        let Some(least) = window.least_delay(passed, peers.is_some()) else { return false };
-        let per_second = |bytes: u64| (bytes.min(1 << 40) as i64 * SECOND / passed).min(MAX.into());
-        let sent = per_second(self.log.bytes - window.sent);
+        let Some(least) = window.least_delay(passed, is_heard_by_all) else { return false };
+        let sent = per_second(self.log.bytes - window.sent, passed);
         let own = self.delivery_rate.map_or(sent, |delivery_rate| sent.min(delivery_rate.into()));
-        let carried = own + per_second(window.heard);
-        let robots = peers.map_or(1, |peers| peers as i64 + 1);
-        let share = if peers.is_some() { carried / robots } else { 0 };
-        let two_datagrams = 2 * FULL_DATAGRAM * SECOND / if peers.is_some() { carried } else { own }.max(1);
+        let is_lossy = self.losses.is_unusual();
+        let own = if is_lossy { self.losses.arriving(own) } else { own };
+        let peers = peers.min(1 << 16) as i64;
+        let robots = peers + 1;
+        // By unicast others send as much to each other, as far as is known.
+        self.heard_of = if is_heard_by_all { 1 } else { peers };
+        let carried = own + per_second(window.heard, passed) * self.heard_of;
+        let capacity = self.capacity.bytes_per_s();
+        // Robots that fill the queue alone get all that the radio carries.
+        let others = carried < capacity * OURS_MAX / 100;
+        let two_datagrams = 2 * FULL_DATAGRAM * SECOND / if others { capacity } else { carried }.max(1);
         let limit = TARGET + two_datagrams.min(TARGET_MAX);
+        let share = if is_heard_by_all { carried } else { carried.min(capacity) } / robots;
         let before = i64::from(self.bytes_per_s);
-        let to = if least > limit {
-            let (part, of) = match least {
-                least if least > 16 * limit => (4, 10),
-                least if self.in_slow_start || least > 4 * limit => (6, 10),
-                _ => (85, 100),
+        let is_used = before < 2 * sent.max(share);
+        self.stands = least > limit || (is_used && is_lossy);
+        let to = if self.stands {
+            let part = match least {
+                least if least > 16 * limit => 40,
+                least if self.in_slow_start() || least > 4 * limit => 60,
+                least if least > limit => 85,
+                _ => 70,
             };
             // As long as no echo says what arrived, who hears all others counts on its share alone.
-            let own = match (self.delivery_rate, peers) {
+            let own = match (self.delivery_rate, is_heard_by_all) {
                 (Some(_), _) => own,
-                (None, Some(_)) => 0,
-                (None, None) => own / 2,
+                (None, true) => 0,
+                (None, false) => own / 2,
             };
-            (self.in_slow_start, self.capacity, self.changed_at) = (false, carried, now);
-            (own.max(share) * part / of).min(before)
-        } else if before < 2 * sent.max(share) {
-            let more = if self.in_slow_start { before } else { before / 8 + 4 };
+            let least_share = match capacity * OURS / 100 {
+                _ if !others => 0,
+                ours if is_heard_by_all => ours / robots,
+                ours => ours * own.max(carried / robots) / carried.max(1),
+            };
+            (own.max(share) * part / 100).min(before).max(least_share.min(2 * before))
+        } else if is_used && now >= self.others_until {
+            let more = if self.in_slow_start() { before } else { before / 8 + 4 };
             // What the radio carried before and does not carry now is shared by those who send.
-            let unused = if peers.is_some() { self.capacity * 9 / 10 - carried } else { 0 };
+            let unused = if is_heard_by_all { self.carried_then * 9 / 10 - carried } else { 0 };
             before + more + 2 * unused.max(0) / robots
         } else {
             before
         };
+        if self.stands {
+            self.carried_then = carried;
+            self.began_at.get_or_insert(now);
+            self.stood_at = now;
+            let stood_for = now.micros_since(self.went_down_at);
+            if to < before {
+                self.went_down_at = now;
+                self.losses.begin_anew();
+            } else if others && stood_for > PATIENCE.max(3 * least).max(2 * two_datagrams * robots) {
+                self.others_until = now.plus_micros(OTHERS_FOR);
+            }
+        }
         self.window = None;
-        self.bytes_per_s = to.clamp(MIN.into(), MAX.into()) as u32;
+        self.bytes_per_s = to.clamp(BYTES_PER_S_MIN.into(), BYTES_PER_S_MAX.into()) as u32;
         self.bucket.set(now, self.bytes_per_s, burst(self.bytes_per_s));
         i64::from(self.bytes_per_s) != before
     }
 }
 
+#[cfg(test)]
+mod beside_others;
 #[cfg(test)]
 mod tests;

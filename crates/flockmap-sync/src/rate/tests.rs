@@ -1,7 +1,8 @@
 //! Robots that share a medium, each with a rate of its own.
 
 use super::*;
-use std::collections::BTreeMap;
+use crate::rate::sent_log::{LOG_GRAIN, LOG_MAX};
+use std::collections::{BTreeMap, VecDeque};
 
 const STEP: i64 = 10_000;
 const BYTES: usize = 600;
@@ -91,9 +92,9 @@ impl Swarm {
                 let now = Stamp(self.now + robot.clock);
                 let (queueing_in, ..) = robot.waits.entry(from).or_default();
                 let waited = queueing_in.sample(now, now.micros_since(sent));
-                robot.rate.note_heard(now, BYTES, waited);
+                robot.rate.note_heard(now, Heard { bytes: BYTES, sent, before: None, queued: waited });
                 robot.newest.insert(from, Arrival { sent, arrived: now });
-                robot.rate.review(now, Some(count - 1));
+                robot.rate.review(now, count - 1, true);
             }
         }
         // Each tells one other what came, in turn.
@@ -107,7 +108,7 @@ impl Swarm {
                 let waited = queueing_out.sample(now, arrival.arrived.micros_since(arrival.sent));
                 let before = before.replace(arrival);
                 robot.rate.note_arrival(now, arrival, before, waited);
-                robot.rate.review(now, Some(count - 1));
+                robot.rate.review(now, count - 1, true);
             }
         }
     }
@@ -171,11 +172,13 @@ fn stamps_that_make_no_sense_do_no_harm() {
             for arrived in ends {
                 let waited = waiting.sample(now, arrived.micros_since(sent));
                 let arrival = Arrival { sent, arrived };
-                rate.note_heard(now, 1_228, waited);
+                let before_it = Some((sent, arrived));
+                rate.note_heard(now, Heard { bytes: 1_228, sent: now, before: before_it, queued: waited });
+                rate.note_outcome(now, sent, true);
                 rate.note_arrival(now, arrival, before.replace(arrival), waited);
-                rate.review(now, Some(usize::MAX >> 2));
-                rate.review(now, None);
-                assert!((MIN..=MAX).contains(&rate.bytes_per_s()));
+                rate.review(now, usize::MAX >> 2, true);
+                rate.review(now, usize::MAX >> 2, false);
+                assert!((BYTES_PER_S_MIN..=BYTES_PER_S_MAX).contains(&rate.bytes_per_s()));
             }
         }
     }

@@ -258,6 +258,7 @@ impl Session {
             },
         };
         let (mut confirmed, mut lost) = (0, 0);
+        let mut outcomes = Vec::new();
         let own = self.identity.own.origin;
         let is_named = |stream: Stream, snapshot_id: u32| {
             request
@@ -292,11 +293,15 @@ impl Session {
             };
             if received {
                 confirmed += 1;
+                outcomes.push((sent.at, false));
                 return false;
             }
             sent.requests = sent.requests.saturating_add(u8::from(stated));
             let gone = stated && is_lost(sent);
             lost += u64::from(gone);
+            if gone {
+                outcomes.push((sent.at, true));
+            }
             if let Item::Chunk { snapshot_id, .. } = sent.item
                 && gone
                 && !is_named(stream, snapshot_id)
@@ -322,6 +327,11 @@ impl Session {
         }
         let Some(peer) = self.peers.get_mut(&id) else { return };
         peer.loss.sample(confirmed, lost);
+        if let Some(rate) = &mut self.outbox.rate {
+            for (sent, is_lost) in outcomes {
+                rate.note_outcome(now, sent, is_lost);
+            }
+        }
 
         peer.cover_anew(self.config.in_flight_max);
     }

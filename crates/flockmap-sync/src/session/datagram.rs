@@ -5,6 +5,7 @@ use crate::Cast;
 use crate::event::Event;
 use crate::path::Path;
 use crate::peer::{PEER_INTERVALS_MAX, Peer};
+use crate::rate::Heard;
 use crate::store::RECEIVED_INTERVALS_MAX;
 use crate::timers::Timer;
 use crate::wire::{
@@ -40,8 +41,8 @@ impl Session {
     ) -> Result<(), DatagramError> {
         let now = self.advance(now);
         let result = self.take_datagram(now, path, bytes);
-        let sharing = (self.config.cast == Cast::Broadcast).then_some(self.peers.len());
-        if self.outbox.rate.as_mut().is_some_and(|rate| rate.review(now, sharing)) {
+        let (peers, is_heard_by_all) = (self.peers.len(), self.config.cast == Cast::Broadcast);
+        if self.outbox.rate.as_mut().is_some_and(|rate| rate.review(now, peers, is_heard_by_all)) {
             (self.outbox.blocked_until, self.schedule.blocked_until) = (None, None);
         }
         if let Err(error) = &result {
@@ -190,7 +191,8 @@ impl Session {
             let queued = peer.queueing_in.sample(now, now.micros_since(header.stamp));
             peer.queued_in = Duration::from_micros(queued.unwrap_or(0).max(0) as u64);
             if let Some(rate) = &mut self.outbox.rate {
-                rate.note_heard(now, bytes + overhead, queued);
+                let before = Some((peer.newest_stamp, peer.newest_stamp_at));
+                rate.note_heard(now, Heard { bytes: bytes + overhead, sent: header.stamp, before, queued });
             }
             peer.traffic_in.add(1, bytes + overhead);
             if header.stamp > peer.newest_stamp || !newest_counts {

@@ -1,0 +1,148 @@
+#!/bin/sh
+# Five robots beside a stream of others, all on one link with a rate cap: the loopback of a network namespace of their own, with
+# tbf on it. Nobody tells the robots a budget. In the end all five must hold equal layers; the robots must have got 25 % of the
+# link and the others 40 %, from the 8th second until the last package had arrived.
+#
+# usage: beside_others.sh FLOCKMAP [DIR]
+#   FLOCKMAP is the program; records, configurations, logs and summaries go to DIR (default: a new folder, removed at the end).
+# environment, with defaults: RATE_KBIT=50 QUEUE_BYTES=16384 OTHERS=tcp (or udp: at OTHERS_KBIT=30, whatever becomes of it)
+#   FLIGHT_S=40 QUIET_S=12 (a robot ends when its record is over and nothing new has come for so long)
+# needs: root, ip and tc with tbf, python3 (the stream). exit: 0 as it must be, 1 not so, 77 skipped.
+set -eu
+
+flockmap=$1
+dir=${2:-}
+RATE_KBIT=${RATE_KBIT:-50} QUEUE_BYTES=${QUEUE_BYTES:-16384} OTHERS=${OTHERS:-tcp} OTHERS_KBIT=${OTHERS_KBIT:-30}
+FLIGHT_S=${FLIGHT_S:-40} QUIET_S=${QUIET_S:-12}
+robots="1 2 3 4 5"
+name=flockmap$$
+pids=
+temporary=
+
+if ! ip netns add "$name" 2> /dev/null; then
+    echo "skipped: network namespaces are not allowed here (ip netns needs root)"
+    exit 77
+fi
+cleanup() {
+    for pid in $pids; do kill -9 "$pid" 2> /dev/null || true; done
+    ip netns del "$name" 2> /dev/null || true
+    [ -z "$temporary" ] || rm -rf "$temporary"
+}
+trap cleanup EXIT
+trap 'exit 1' INT TERM
+if [ -z "$dir" ]; then
+    dir=$(mktemp -d)
+    temporary=$dir
+fi
+mkdir -p "$dir"
+# Packets as on a radio, not of 64 KiB.
+ip -n "$name" link set lo mtu 1500 up
+if ! tc -n "$name" qdisc add dev lo root tbf rate "${RATE_KBIT}kbit" burst 2kb limit "$QUEUE_BYTES" 2> /dev/null; then
+    echo "skipped: no tbf here"
+    exit 77
+fi
+"$flockmap" sim fly --scene indoor --robots 5 --seconds "$FLIGHT_S" --lidar mid360 --resolution 0.2 --no-view --out "$dir" \
+    > "$dir/fly.log"
+
+cat > "$dir/stream.py" << 'END'
+"""stream.py tcp|udp KBIT: sends over the loopback, writes seconds, bytes received."""
+import socket, sys, threading, time
+
+kind, bytes_per_s = sys.argv[1], float(sys.argv[2]) * 125
+address, received, began = ("127.0.0.1", 9000), [0], time.time()
+stream = socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM
+there = socket.socket(socket.AF_INET, stream)
+there.bind(address)
+
+def receive():
+    taker = there
+    if kind == "tcp":
+        there.listen(1)
+        taker, _ = there.accept()
+    while data := taker.recv(65536):
+        received[0] += len(data)
+
+def send():
+    here, sent = socket.socket(socket.AF_INET, stream), 0
+    here.connect(address)
+    while kind == "tcp":
+        here.sendall(bytes(8192))
+    while True:
+        while sent < bytes_per_s * (time.time() - began):
+            here.send(bytes(1000))
+            sent += 1042  # with IP, UDP and the link's header
+        time.sleep(0.005)
+
+for work in receive, send:
+    threading.Thread(target=work, daemon=True).start()
+while True:
+    time.sleep(1)
+    print(f"{time.time() - began:.1f} {received[0]}", flush=True)
+END
+
+for n in $robots; do
+    peers=
+    for other in $robots; do
+        [ "$other" = "$n" ] || peers="$peers\"127.0.0.1:770$other\", "
+    done
+    cat > "$dir/$n.toml" << END
+id = $n
+name = "robot$n"
+[map]
+resolution_m = 0.2
+range_m = 7.0
+[state]
+path = "state"
+[network]
+bind = "127.0.0.1:770$n"
+peers = [$peers]
+[sensor]
+record = "robot$n.mcap"
+start_s = 2.0
+[output]
+report_json = "$n.json"
+end_when_quiet_s = $QUIET_S
+END
+    ip netns exec "$name" "$flockmap" node --config "$dir/$n.toml" > /dev/null 2> "$dir/$n.log" &
+    pids="$pids $!"
+done
+nodes=$pids
+ip netns exec "$name" python3 "$dir/stream.py" "$OTHERS" "$OTHERS_KBIT" > "$dir/others.txt" &
+pids="$pids $!"
+began=$(date +%s)
+(
+    while sleep 1; do
+        echo "$(($(date +%s) - began)) $(tc -n "$name" -s qdisc show dev lo | sed -n 's/^ Sent \([0-9]*\) bytes.*/\1/p')"
+    done
+) > "$dir/link.txt" &
+pids="$pids $!"
+for pid in $nodes; do
+    wait "$pid" || {
+        echo "a robot failed:"
+        tail -n 3 "$dir"/?.log
+        exit 1
+    }
+done
+ended=$(($(date +%s) - began - QUIET_S))
+
+# What a summary says of its streams, without how the packages came.
+layers() {
+    sed -n 's/^      "\(origin\|epoch\|missing\|voxels\|digest\)": *\([^,]*\),\{0,1\}$/\1 \2/p' "$1"
+}
+layers "$dir/1.json" > "$dir/expected"
+for n in $robots; do
+    layers "$dir/$n.json" > "$dir/found"
+    diff "$dir/expected" "$dir/found" || { echo "robots 1 and $n differ"; exit 1; }
+done
+if [ "$(grep -c '^digest' "$dir/expected")" != 5 ]; then
+    echo "not five streams"
+    exit 1
+fi
+bytes_at() { awk -v at="$2" '$1 <= at { bytes = $2 } END { print bytes + 0 }' "$dir/$1"; }
+others=$(($(bytes_at others.txt "$ended") - $(bytes_at others.txt 8)))
+all=$(($(bytes_at link.txt "$ended") - $(bytes_at link.txt 8)))
+could=$(((ended - 8) * RATE_KBIT * 125))
+# With headers of 66 bytes for 1,448 the others' bytes are a twentieth more.
+ours=$(((all - others * 21 / 20) * 100 / could)) theirs=$((others * 100 / could))
+echo "five robots hold equal layers after $ended s; of the link ($RATE_KBIT kbit/s, $OTHERS) robots $ours %, others $theirs %"
+[ "$ours" -ge 25 ] && [ "$theirs" -ge 40 ]
