@@ -6,14 +6,14 @@
 # usage: beside_others.sh FLOCKMAP [DIR]
 #   FLOCKMAP is the program; records, configurations, logs and summaries go to DIR (default: a new folder, removed at the end).
 # environment, with defaults: RATE_KBIT=50 QUEUE_BYTES=16384 OTHERS=tcp (or udp: at OTHERS_KBIT=30, whatever becomes of it)
-#   FLIGHT_S=40 QUIET_S=12 (a robot ends when its record is over and nothing new has come for so long)
+#   FLIGHT_S=40 QUIET_S=45 (a robot ends when its record is over and nothing new has come for so long)
 # needs: root, ip and tc with tbf, python3 (the stream). exit: 0 as it must be, 1 not so, 77 skipped.
 set -eu
 
 flockmap=$1
 dir=${2:-}
 RATE_KBIT=${RATE_KBIT:-50} QUEUE_BYTES=${QUEUE_BYTES:-16384} OTHERS=${OTHERS:-tcp} OTHERS_KBIT=${OTHERS_KBIT:-30}
-FLIGHT_S=${FLIGHT_S:-40} QUIET_S=${QUIET_S:-12}
+FLIGHT_S=${FLIGHT_S:-40} QUIET_S=${QUIET_S:-45}
 robots="1 2 3 4 5"
 name=flockmap$$
 pids=

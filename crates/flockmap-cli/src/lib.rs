@@ -19,6 +19,7 @@ pub mod parallel;
 pub mod picture;
 pub mod program;
 pub mod progress;
+pub mod radio_plan;
 pub mod records;
 pub mod render;
 pub mod report;

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
-use commands::{demo, export, info, key, mirror, node, radio, render, replay, sim, view};
+use commands::{demo, export, info, key, mirror, node, plan_radio, radio, render, replay, sim, view};
 use flockmap_cli::{program, stop};
 
 /// Keeps the 3-D occupancy map of every robot of a swarm in sync over a thin, lossy radio.
@@ -35,6 +35,7 @@ enum Command {
     Mirror(mirror::MirrorArgs),
     Key(key::KeyArgs),
     Radio(radio::RadioArgs),
+    PlanRadio(plan_radio::PlanRadioArgs),
     Replay(replay::ReplayArgs),
     #[command(subcommand)]
     Sim(sim::SimCommand),
@@ -62,6 +63,7 @@ fn main() -> ExitCode {
         Command::Mirror(args) => mirror::run(args),
         Command::Key(args) => key::run(args),
         Command::Radio(args) => radio::run(args),
+        Command::PlanRadio(args) => plan_radio::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Sim(command) => sim::run(command),
         Command::Info(args) => info::run(args),

@@ -4,7 +4,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{fails, good, json};
+use common::{fails, flockmap, good, json};
 use serde_json::Value;
 
 const SMALL: &str = "--resolution 0.25 --range 6 --seconds 2";
@@ -49,6 +49,18 @@ fn a_replay_with_loss_and_reordering_agrees_on_every_voxel() {
     assert_eq!(maps.matches("class=\"path mate\"").count(), 2, "the paths of the two others in one");
     assert!(page.contains("viewport") && page.contains("<svg"));
     assert!(page.contains("flockmap replay indoor"), "the command that made it");
+}
+
+#[test]
+fn a_plan_of_a_radio_says_whether_it_fits_in_words_in_json_and_by_its_exit_code() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("plan.json");
+    let text = good(&format!("plan-radio --radio wifi --robots 5 --json {}", file.display()));
+    assert!(text.contains("It fits"), "{text}");
+    assert_eq!(json(&file)["fits"], true);
+    let output = flockmap("plan-radio --radio lora --robots 20");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("It does not fit"));
 }
 
 /// What stands between two strings, each time.

@@ -37,6 +37,11 @@ const WRONG: &[(&str, &str)] = &[
     ("mirror unix:nowhere.sock --for -3", "0 to 1,000,000,000 expected"),
     ("mirror unix:nowhere.sock --rate-max 0", "--rate-max"),
     ("sim table --check", "--file <FILE>"),
+    ("plan-radio --robots 3", "--radio <PRESET>|--rate-kb-s <B>"),
+    ("plan-radio --radio lora", "--robots <N>"),
+    ("plan-radio --radio loora --robots 3", "known are lan, wifi, wifi_lossy"),
+    ("plan-radio --radio lora --robots 0", "--robots is 0, expected 2 to 1,000"),
+    ("plan-radio --rate-kb-s -6 --robots 3", "--rate-kb-s is -6"),
     ("sim swarm --file nowhere.txt", "nowhere.txt"),
     // Empty, truncated, of another type.
     ("replay empty.mcap", "empty.mcap"),

@@ -123,6 +123,8 @@ pub struct RadioEmulator {
     sequence: u64,
     /// When a medium that all share is free.
     medium_busy_until: Stamp,
+    /// What others send on it.
+    others: Node,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -133,6 +135,47 @@ struct Node {
     /// On a shared medium: what waits or is being sent, with the time at which it will have been sent.
     waiting: VecDeque<(Stamp, usize)>,
     waiting_bytes: usize,
+}
+
+impl Node {
+    /// When a datagram will have been sent; `None`: the queue is full. `medium`: until when a medium that all share is busy.
+    fn enqueue(
+        &mut self,
+        now: Stamp,
+        size: usize,
+        config: &RadioConfig,
+        medium: Option<&mut Stamp>,
+    ) -> Option<Stamp> {
+        let Some(rate) = config.rate_bytes_per_s else { return Some(now) };
+        let rate = i128::from(rate.max(1));
+        let takes = (size as i128 * 1_000_000 + rate - 1) / rate;
+        let takes = i64::try_from(takes).unwrap_or(i64::MAX);
+        let takes = takes.saturating_add(config.airtime_overhead_micros.max(0));
+        let is_shared = medium.is_some();
+        let busy_until = medium.unwrap_or(&mut self.busy_until);
+        let begins = (*busy_until).max(now);
+        let waiting = if is_shared {
+            while let Some((_, size)) = self.waiting.pop_front_if(|(done, _)| *done <= now) {
+                self.waiting_bytes -= size;
+            }
+            self.waiting_bytes as i128
+        } else {
+            // Time until the node is free × rate.
+            i128::from(begins.micros_since(now)) * rate / 1_000_000
+        };
+        if waiting + size as i128 > config.queue_bytes_max as i128 {
+            self.traffic.dropped += 1;
+            return None;
+        }
+        let on_air = begins.plus_micros(takes);
+        *busy_until = on_air;
+        self.traffic.airtime_micros += takes as u64;
+        if is_shared {
+            self.waiting.push_back((on_air, size));
+            self.waiting_bytes += size;
+        }
+        Some(on_air)
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -164,6 +207,7 @@ impl RadioEmulator {
             in_flight_bytes: 0,
             sequence: 0,
             medium_busy_until: Stamp(i64::MIN),
+            others: Node::default(),
         };
         nodes.into_iter().for_each(|id| radio.add(id));
         radio
@@ -204,36 +248,8 @@ impl RadioEmulator {
     pub fn send(&mut self, now: Stamp, from: RobotId, to: To, bytes: &[u8]) {
         let size = bytes.len() + self.config.overhead_bytes;
         let Some(node) = self.nodes.get_mut(&from) else { return };
-        let mut on_air = now;
-        if let Some(rate) = self.config.rate_bytes_per_s {
-            let rate = i128::from(rate.max(1));
-            let takes = (size as i128 * 1_000_000 + rate - 1) / rate;
-            let takes = i64::try_from(takes).unwrap_or(i64::MAX);
-            let takes = takes.saturating_add(self.config.airtime_overhead_micros.max(0));
-            let is_shared = self.config.is_shared;
-            let busy_until = if is_shared { &mut self.medium_busy_until } else { &mut node.busy_until };
-            let begins = (*busy_until).max(now);
-            let waiting = if is_shared {
-                while let Some((_, size)) = node.waiting.pop_front_if(|(done, _)| *done <= now) {
-                    node.waiting_bytes -= size;
-                }
-                node.waiting_bytes as i128
-            } else {
-                // Time until the node is free × rate.
-                i128::from(begins.micros_since(now)) * rate / 1_000_000
-            };
-            if waiting + size as i128 > self.config.queue_bytes_max as i128 {
-                node.traffic.dropped += 1;
-                return;
-            }
-            on_air = begins.plus_micros(takes);
-            *busy_until = on_air;
-            node.traffic.airtime_micros += takes as u64;
-            if is_shared {
-                node.waiting.push_back((on_air, size));
-                node.waiting_bytes += size;
-            }
-        }
+        let busy = if self.config.is_shared { Some(&mut self.medium_busy_until) } else { None };
+        let Some(on_air) = node.enqueue(now, size, &self.config, busy) else { return };
         node.traffic.sent += 1;
         node.traffic.sent_bytes += size as u64;
         let payload: Arc<[u8]> = Arc::from(bytes);
@@ -242,6 +258,13 @@ impl RadioEmulator {
             To::All => self.nodes.keys().copied().filter(|id| *id != from).collect(),
         };
         receivers.into_iter().for_each(|to| self.carry(on_air, from, to, &payload));
+    }
+
+    /// Others, whom nobody here hears, send so many bytes on a medium that is shared. They have a queue as each node has.
+    pub fn take_air(&mut self, now: Stamp, bytes: usize) {
+        if self.config.is_shared {
+            self.others.enqueue(now, bytes, &self.config, Some(&mut self.medium_busy_until));
+        }
     }
 
     /// When the next datagram arrives; `None` if none is in flight.

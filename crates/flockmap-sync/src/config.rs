@@ -254,9 +254,8 @@ pub struct ConfigError {
     pub expected: &'static str,
 }
 
-/// Least budget: a full datagram takes two and a half seconds of it, so that three of them and the requests
-/// go out within the time after which a peer counts as gone.
-const BYTES_PER_S_MIN: u32 = 500;
+/// Least budget: a full datagram takes a minute of it.
+const BYTES_PER_S_MIN: u32 = 20;
 
 impl SessionConfig {
     /// The paper's own behaviour (Sec. IV-B): requests on a fixed period, packages only as answers to them, all
@@ -298,7 +297,7 @@ impl SessionConfig {
             [("radio_bytes_per_s", self.radio_bytes_per_s), ("link_bytes_per_s", self.link_bytes_per_s)]
         {
             let rate = rate.unwrap_or(BYTES_PER_S_MIN);
-            check(option, rate >= BYTES_PER_S_MIN, rate.into(), "at least 500, or no limit")?;
+            check(option, rate >= BYTES_PER_S_MIN, rate.into(), "at least 20, or no limit")?;
         }
         for (option, ms) in [
             ("request_period_active_ms", self.request_period_active_ms),

@@ -6,7 +6,7 @@
 //! as long as it is used.
 //!
 //! A queue may stand whatever this robot does: others' traffic (TCP, a video) fills it. So the rate does not go below a
-//! share of 45 % of what the radio is known to carry, and does not rise above it until that traffic yields.
+//! share of 41 % of what the radio is known to carry, and does not rise above it until that traffic yields.
 //!
 //! A short queue overflows before its delay shows. So losses count as a queue too, where they are more than usual.
 
@@ -49,7 +49,7 @@ const WINDOW_LONG: i64 = 2_000_000;
 /// Samples that are too few are forgotten after so long.
 const WINDOW_MAX: i64 = 20_000_000;
 /// Of what the radio carries so much is for the robots, in per cent, if others fill the queue, …
-const OURS: i64 = 45;
+const OURS: i64 = 41;
 /// … which may be so if a queue stands while they take less than this of it themselves. It is so if it stands for so long,
 /// and three times as long as it takes to drain, and so long that each robot could have sent four full datagrams.
 const OURS_MAX: i64 = 70;
@@ -317,7 +317,7 @@ impl Rate {
         let others = carried < capacity * OURS_MAX / 100;
         let two_datagrams = 2 * FULL_DATAGRAM * SECOND / if others { capacity } else { carried }.max(1);
         let limit = TARGET + two_datagrams.min(TARGET_MAX);
-        let share = if is_heard_by_all { carried } else { carried.min(capacity) } / robots;
+        let share = if is_heard_by_all || capacity == 0 { carried } else { carried.min(capacity) } / robots;
         let before = i64::from(self.bytes_per_s);
         let is_used = before < 2 * sent.max(share);
         self.stands = least > limit || (is_used && is_lossy);
@@ -340,10 +340,10 @@ impl Rate {
                 ours => ours * own.max(carried / robots) / carried.max(1),
             };
             (own.max(share) * part / 100).min(before).max(least_share.min(2 * before))
-        } else if is_used && now >= self.others_until {
+        } else if (is_used || before < self.carried_then / robots) && now >= self.others_until {
             let more = if self.in_slow_start() { before } else { before / 8 + 4 };
             // What the radio carried before and does not carry now is shared by those who send.
-            let unused = if is_heard_by_all { self.carried_then * 9 / 10 - carried } else { 0 };
+            let unused = self.carried_then * 9 / 10 - carried;
             before + more + 2 * unused.max(0) / robots
         } else {
             before

@@ -8,6 +8,7 @@ pub mod info;
 pub mod key;
 pub mod mirror;
 pub mod node;
+pub mod plan_radio;
 pub mod radio;
 pub mod render;
 pub mod replay;

@@ -159,6 +159,8 @@ pub struct RobotReport {
     pub batches_in_parts: u64,
     pub changed_voxels: u64,
     pub own_packages: u64,
+    /// Bytes of these, once each, without any header of a datagram.
+    pub own_package_bytes: u64,
     pub packages_sent: u64,
     /// Found lost, and sent again.
     pub resent: u64,
@@ -390,6 +392,7 @@ fn robot_report(member: &Member, seconds: f64) -> RobotReport {
         batches_in_parts: counters.batches_in_parts,
         changed_voxels: counters.changes,
         own_packages: counters.packages,
+        own_package_bytes: counters.package_bytes,
         packages_sent: session.sent,
         resent: session.lost,
         relayed: session.relayed,

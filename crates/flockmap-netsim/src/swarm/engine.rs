@@ -6,6 +6,7 @@ mod look;
 use super::check::{Finding, names};
 use super::clock::Clock;
 use super::costly::Costly;
+use super::crowd::NewBytes;
 use super::member::{Member, NEVER};
 use super::outsider;
 use super::plan::Action;
@@ -82,6 +83,8 @@ struct Engine {
     closed: BTreeMap<(usize, usize), u32>,
     next_look: i64,
     next_whole_look: i64,
+    /// When others send next.
+    next_others: i64,
     agreement: Option<i64>,
     agreement_within: i64,
 }
@@ -118,6 +121,7 @@ impl Engine {
             closed,
             next_look: 0,
             next_whole_look: LOOK_WHOLE_EVERY,
+            next_others: 0,
             agreement: None,
             agreement_within: 0,
         }
@@ -135,6 +139,7 @@ impl Engine {
             self.network.deliver_due(&mut self.eyes);
             self.attack();
             self.burden();
+            self.take_air();
             for number in 0..self.network.nodes().len() {
                 if self.phase == Phase::Mapping && self.network.nodes()[number].next_scan <= now {
                     let world = &self.world;
@@ -155,7 +160,8 @@ impl Engine {
         let action = self.eyes.settings.plan.get(self.next_action).map_or(NEVER, |(at, _)| *at);
         let outsider = self.eyes.outsider.as_ref().map_or(NEVER, |outsider| outsider.next);
         let costly = self.costly.as_ref().map_or(NEVER, |costly| costly.next);
-        let mut next = network.min(action).min(self.next_look).min(outsider).min(costly);
+        let others = if self.others().is_some() { self.next_others } else { NEVER };
+        let mut next = network.min(action).min(self.next_look).min(outsider).min(costly).min(others);
         if self.phase == Phase::Mapping {
             next = self.network.nodes().iter().map(|member| member.next_scan).fold(next, i64::min);
         }
@@ -252,6 +258,19 @@ impl Engine {
         }
     }
 
+    /// What others send on a crowded radio, until all agree.
+    fn others(&self) -> Option<(usize, i64)> {
+        let is_over = !matches!(self.phase, Phase::Mapping | Phase::Healing { .. });
+        self.eyes.settings.trouble.crowd.filter(|_| !is_over)?.others()
+    }
+
+    fn take_air(&mut self) {
+        while let Some((bytes, pause)) = self.others().filter(|_| self.next_others <= self.eyes.now) {
+            self.network.radio_mut().take_air(Stamp(self.next_others), bytes);
+            self.next_others += pause.max(1);
+        }
+    }
+
     /// Lets the faulty robot send what is due: in place of a package that the receiver lacks.
     fn burden(&mut self) {
         let Some(costly) = self.costly.as_mut().filter(|costly| costly.next <= self.eyes.now) else { return };
@@ -277,6 +296,16 @@ impl Engine {
 
     fn report(mut self) -> Report {
         let mut seen = core::mem::take(&mut self.eyes.seen);
+        if let Some((new, could, is_enough)) = self.eyes.new_bytes.as_ref().map(NewBytes::sum) {
+            let enough = "crowded: new bytes took what they are to take";
+            for (name, count) in [
+                ("crowded: bytes that could go out", could),
+                ("crowded: new bytes", new),
+                (enough, is_enough.into()),
+            ] {
+                *seen.entry(name).or_default() += count;
+            }
+        }
         let mut robots = Vec::new();
         for number in 0..self.network.nodes().len() {
             let traffic = self.network.radio().traffic(self.network.ids()[number]);

@@ -138,7 +138,7 @@ impl RadioNumbers {
     pub fn budget(&self, robots: usize) -> Option<u32> {
         let shared = self.config.rate_bytes_per_s.filter(|_| self.config.is_shared);
         let part = shared.map(|rate| (u64::from(rate) * 7 / 10 / robots.max(1) as u64) as u32);
-        part.or(self.budget_bytes_per_s).map(|budget| budget.max(500))
+        part.or(self.budget_bytes_per_s).map(|budget| budget.max(20))
     }
 
     /// Links between the robots 0 … n − 1, both directions alike.

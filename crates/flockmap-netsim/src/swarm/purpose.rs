@@ -25,3 +25,4 @@ pub(super) const RUNS: u64 = 0x5357_000f;
 pub(super) const COSTLY: u64 = 0x5357_0010;
 pub(super) const CAPS: u64 = 0x5357_0011;
 pub(super) const PIECES: u64 = 0x5357_0012;
+pub(super) const CROWD: u64 = 0x5357_0013;

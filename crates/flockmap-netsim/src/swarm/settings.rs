@@ -8,7 +8,7 @@ use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
 use crate::{Burst, IP_UDP_BYTES, Link, RadioConfig};
 use flockmap::sync::SwarmKey;
-use flockmap::{BatchConfig, Cast, Codec, FusionConfig, Resolution, RobotConfig, RobotId};
+use flockmap::{BatchConfig, Cast, Codec, FusionConfig, Resolution, RobotConfig, RobotId, SessionConfig};
 use flockmap_worlds::random::Random;
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
@@ -66,7 +66,7 @@ impl Settings {
         let robots = options.robots.unwrap_or(drawn).clamp(2, 200);
         let drawn = 2.0 + random.unit() * random.unit() * 6.0;
         let seconds = options.seconds.unwrap_or_else(|| (drawn * 10.0).round() / 10.0);
-        let trouble = Trouble::draw(options);
+        let mut trouble = Trouble::draw(options);
         let seconds = if options.seconds.is_none() { seconds.max(trouble.seconds()) } else { seconds };
         let mapping = (seconds.clamp(0.1, 3_600.0) * 1e6) as i64;
         let drawn = if random.happens(0.5) { Cast::Broadcast } else { Cast::Unicast };
@@ -75,7 +75,7 @@ impl Settings {
         let has_drift = !clocks_given && random.happens(0.5);
         let clocks_given = clocks_given && !trouble.has_other_clocks();
 
-        let (radio_name, radio) = draw_radio(options, &mut Random::new(seed, purpose::RADIO));
+        let (radio_name, mut radio) = draw_radio(options, &mut Random::new(seed, purpose::RADIO));
         let mut plan_random = Random::new(seed, purpose::PLAN);
         let mut plan =
             if options.is_calm { Vec::new() } else { plan::draw(&mut plan_random, robots, mapping) };
@@ -96,6 +96,10 @@ impl Settings {
         let (mut sessions, mut notes) = session::draw(&mut random, &swarm);
         let mut field = Random::new(seed, purpose::FIELD);
         plan::add_field_day(&mut plan, &mut field, robots, mapping, trouble.restarts);
+        // The paper's own session does not find out what a radio carries.
+        let finds = |session: &SessionConfig| session.congestion_control;
+        trouble.crowd =
+            trouble.crowd.filter(|crowd| sessions.iter().all(finds) && crowd.is_enough(robots, cast));
         notes.extend(trouble.notes());
         if trouble.has_small_limits {
             for (number, session) in sessions.iter_mut().enumerate() {
@@ -114,8 +118,12 @@ impl Settings {
             fusion
         });
         let mut caps: Vec<FusionConfig> = caps.collect();
+        if let Some(crowd) = trouble.crowd {
+            radio.config = crowd.radio(radio.config);
+            sessions.iter_mut().for_each(|session| crowd.limit(session));
+        }
         if let Some(budget) = options.budget_bytes_per_s {
-            sessions.iter_mut().for_each(|session| session.radio_bytes_per_s = Some(budget.max(500)));
+            sessions.iter_mut().for_each(|session| session.radio_bytes_per_s = Some(budget.max(20)));
             notes.push(format!("but {budget} bytes/s, as asked"));
         }
         let has_paths = trouble.has_paths && key.is_some() && cast == Cast::Unicast;

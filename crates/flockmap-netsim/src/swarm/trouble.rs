@@ -3,6 +3,7 @@
 //! numbers of its own: where none is drawn, a flight is the one that it would be without this file.
 
 use super::SwarmOptions;
+use super::crowd::Crowd;
 use super::preset::{RadioNumbers, Topology};
 use super::purpose;
 use flockmap::{Cast, FusionConfig, SessionConfig};
@@ -17,6 +18,7 @@ const PATHS: f64 = 0.8;
 const COSTLY: f64 = 0.1;
 const CAPS: f64 = 0.25;
 const PIECES: f64 = 0.25;
+const CROWD: f64 = 0.25;
 
 /// What a clock shows when its robot starts again.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -50,6 +52,8 @@ pub(super) struct Trouble {
     pub(super) has_small_layers: bool,
     /// Snapshots go in small pieces.
     pub(super) has_pieces: bool,
+    /// The radio carries less than is sent.
+    pub(super) crowd: Option<Crowd>,
 }
 
 impl Trouble {
@@ -66,6 +70,7 @@ impl Trouble {
         };
         let has_small_layers = Random::new(options.seed, purpose::CAPS).happens(CAPS) && !options.is_calm;
         let has_pieces = Random::new(options.seed, purpose::PIECES).happens(PIECES) && !options.is_calm;
+        let crowd = Crowd::draw(options.seed, CROWD).filter(|_| !options.is_calm && options.radio.is_none());
         let mut random = Random::new(options.seed, purpose::FIELD);
         // Seldom hundreds.
         let restarts = 12 + (random.unit() * random.unit() * random.unit() * 288.0) as usize;
@@ -79,6 +84,7 @@ impl Trouble {
             is_costly,
             has_small_layers,
             has_pieces,
+            crowd,
         }
     }
 
@@ -110,7 +116,8 @@ impl Trouble {
             (self.has_pieces, "snapshots go in small pieces"),
             (self.is_costly, "packages that cost more than they may"),
         ];
-        notes.into_iter().filter(|(holds, _)| *holds).map(|(_, note)| note.to_owned()).collect()
+        let notes = notes.into_iter().filter(|(holds, _)| *holds).map(|(_, note)| note.to_owned());
+        notes.chain(self.crowd.map(|crowd| crowd.note())).collect()
     }
 }
 

@@ -289,7 +289,7 @@ const SWARMS: [(usize, bool); 4] = [(2, false), (5, false), (2, true), (5, true)
 #[test]
 fn others_who_come_later_get_two_fifths_of_the_link_and_leave_a_quarter() {
     for (robots, is_broadcast) in SWARMS {
-        for link in [(6_250, 1_500), (6_250, 2_500), (62_500, 300), (62_500, 2_500)] {
+        for link in [(6_250, 2_000), (6_250, 2_500), (62_500, 300), (62_500, 2_500)] {
             let tcp = [Others::Tcp { left: 0.7 }, Others::Tcp { left: 0.5 }];
             for others in tcp.into_iter().chain([7, 10].map(|tenths| Others::Constant(link.0 * tenths / 10)))
             {

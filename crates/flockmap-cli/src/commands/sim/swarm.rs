@@ -62,7 +62,7 @@ pub struct SimSwarmArgs {
     /// unicast: to each peer on its own; broadcast: to all at once [default: drawn]
     #[arg(long, value_name = "CAST", value_parser = named::<Cast>)]
     pub cast: Option<Cast>,
-    /// Bytes that each robot may send in a second, 500 or more [default: drawn]
+    /// Bytes that each robot may send in a second, 20 or more [default: drawn]
     #[arg(long, value_name = "BYTES_PER_S")]
     pub budget: Option<u32>,
     /// No crashes, partitions, half-open links, tight limits or mixed settings: only the radio
@@ -100,7 +100,7 @@ fn run_line(args: &SimSwarmArgs) -> anyhow::Result<bool> {
     let seconds_fit = args.seconds.is_none_or(|s| (0.1..=3_600.0).contains(&s));
     ensure!(seconds_fit, "--seconds must be 0.1 to 3,600");
     ensure!(args.threads.is_none_or(|n| (1..=1_000).contains(&n)), "--threads must be 1 to 1,000");
-    ensure!(args.budget.is_none_or(|n| n >= 500), "--budget must be 500 or more");
+    ensure!(args.budget.is_none_or(|n| n >= 20), "--budget must be 20 or more");
     ensure!(args.seeds.is_none_or(|n| n > 0), "--seeds must be 1 or more");
     match args.seeds {
         None => one(args),

@@ -21,7 +21,7 @@ use super::quiet::period_micros;
 use crate::swarm::truth::Truth;
 use flockmap::grid::Layer;
 use flockmap::sync::{IntervalSet, Relay};
-use flockmap::{Cast, Robot, RobotId, Stream};
+use flockmap::{Cast, Robot, RobotId, SessionConfig, Stream};
 
 pub(in crate::swarm) const NAME: &str = "agreement";
 
@@ -41,31 +41,31 @@ const REFUSED: i64 = 10_000_000;
 /// In microseconds, from how many hops there are, the bytes and the number of all packages, and the most
 /// damaged packages of one run that one robot was sent.
 pub(in crate::swarm) fn bound(
-    robots: &[&Robot],
+    sessions: &[SessionConfig],
     hops: usize,
     (published_bytes, published_packages): (u64, u64),
     [may_begin_anew, has_small_layers]: [bool; 2],
     damaged: u32,
 ) -> i64 {
-    let configs = || robots.iter().map(|robot| robot.session().config());
+    let configs = || sessions.iter();
     let period = configs().map(period_micros).max().unwrap_or(0);
     let relay = configs().map(|config| 1_000 * i64::from(config.relay_delay_ms)).max().unwrap_or(0);
     let budgets = configs().flat_map(|config| {
-        let copies = if config.cast == Cast::Unicast { (robots.len() as u32).max(2) - 1 } else { 1 };
+        let copies = if config.cast == Cast::Unicast { (sessions.len() as u32).max(2) - 1 } else { 1 };
         [config.radio_bytes_per_s.map(|rate| rate / copies), config.link_bytes_per_s]
     });
     let budget = u64::from(budgets.flatten().min().unwrap_or(2_000_000).max(1));
     // Each package in a datagram of its own.
     let bytes = published_bytes + 80 * published_packages;
-    let copies = robots.len() as u64;
+    let copies = sessions.len() as u64;
     let sending = (6 * copies * bytes).saturating_mul(1_000_000) / budget;
     let anew = if may_begin_anew { ANEW } else { 0 };
     let damaged = i64::from(damaged) * (REFUSED + 4 * period);
     50_000_000
         + anew
-        + if has_small_layers { REST * robots.len() as i64 } else { 0 }
+        + if has_small_layers { REST * sessions.len() as i64 } else { 0 }
         + damaged
-        + hops as i64 * (4 * period + robots.len() as i64 * relay + 2_000_000)
+        + hops as i64 * (4 * period + sessions.len() as i64 * relay + 2_000_000)
         + sending as i64
 }
 

@@ -3,6 +3,7 @@
 use crate::swarm::broken::Broken;
 use crate::swarm::check::{self, Failure, Finding, names};
 use crate::swarm::clock::Clock;
+use crate::swarm::crowd::NewBytes;
 use crate::swarm::datagram::{Content, Keys};
 use crate::swarm::member::{Input, Member};
 use crate::swarm::outsider::Outsider;
@@ -11,7 +12,7 @@ use crate::swarm::report::Seen;
 use crate::swarm::settings::Settings;
 use crate::swarm::truth::Truth;
 use crate::{Addressees, Datagram, Delivery, IP_UDP_BYTES, Watch};
-use flockmap::{Cast, Event, RobotId, Stamp, Stream};
+use flockmap::{Cast, Event, Robot, RobotId, Stamp, Stream};
 use flockmap_worlds::random::Random;
 use std::collections::BTreeMap;
 
@@ -38,6 +39,10 @@ pub(super) struct Eyes {
     pub(super) last_packages: i64,
     /// The time.
     pub(super) now: i64,
+    /// On a crowded radio.
+    pub(super) new_bytes: Option<NewBytes>,
+    /// What a robot has been given, and how much it had accepted before.
+    given: Option<(Delivery, u64)>,
 }
 
 impl Eyes {
@@ -61,6 +66,8 @@ impl Eyes {
             steps: 0,
             last_packages: 0,
             now: 0,
+            new_bytes: settings.trouble.crowd.map(|_| NewBytes::default()),
+            given: None,
             settings,
         }
     }
@@ -152,9 +159,18 @@ impl Eyes {
     }
 }
 
+/// Packages and chunks.
+fn accepted(robot: &Robot) -> u64 {
+    let counters = robot.session().counters();
+    counters.accepted + counters.chunks_accepted
+}
+
 impl Watch<Member> for Eyes {
-    fn begins(&mut self, now: Stamp, _number: usize, member: &mut Member, _delivery: Option<&Delivery>) {
+    fn begins(&mut self, now: Stamp, _number: usize, member: &mut Member, delivery: Option<&Delivery>) {
         self.now = now.0;
+        if let (Some(_), Some(robot), Some(delivery)) = (&self.new_bytes, &member.robot, delivery) {
+            self.given = Some((delivery.clone(), accepted(robot)));
+        }
         if member.robot.is_some() {
             let id = member.settings.config.id;
             self.at_work = Some(id);
@@ -269,6 +285,13 @@ impl Watch<Member> for Eyes {
             && (self.settings.members.len() <= 8 || self.steps.is_multiple_of(16))
         {
             self.found(member.settings.config.id, check::limits(robot));
+        }
+        if let (Some(new_bytes), Some((delivery, before))) = (&mut self.new_bytes, self.given.take())
+            && !self.is_mapping
+            && member.robot.as_ref().is_some_and(|robot| accepted(robot) > before)
+        {
+            let to = (self.settings.cast == Cast::Unicast).then_some(delivery.to);
+            new_bytes.brought(delivery.from, to, &delivery.bytes);
         }
         member.note_wake(self.now);
         self.at_work = None;

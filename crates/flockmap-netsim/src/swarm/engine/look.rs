@@ -12,6 +12,7 @@ impl Engine {
     /// What is done now and then.
     pub(super) fn look(&mut self) {
         self.next_look = self.eyes.now + LOOK_EVERY;
+        self.look_for_new_bytes();
         if self.next_whole_look <= self.eyes.now {
             self.next_whole_look = self.eyes.now + LOOK_WHOLE_EVERY;
             self.look_at_dirty_layers();
@@ -43,6 +44,17 @@ impl Engine {
                 self.phase = Phase::Over;
             }
             Phase::Quiet { until } => self.next_look = until,
+        }
+    }
+
+    /// On a crowded radio: what could have gone out while something was missing.
+    fn look_for_new_bytes(&mut self) {
+        let Some(crowd) = self.eyes.settings.trouble.crowd else { return };
+        // As long as links are closed, nothing may be able to flow.
+        if matches!(self.phase, Phase::Healing { .. })
+            && check::disagreement(&self.eyes.truth, &self.robots(), &self.forgotten()).is_some()
+        {
+            self.eyes.new_bytes.iter_mut().for_each(|new| new.missed(LOOK_EVERY, crowd.for_robots()));
         }
     }
 
@@ -78,7 +90,10 @@ impl Engine {
         let published = (2 * bytes + 10_000, 2 * packages + 10);
         let hops = numbers.hops(count);
         let damaged = self.eyes.broken.packages_max();
-        self.agreement_within = check::bound(&self.robots(), hops, published, may, damaged);
+        let found = self.found().filter(|_| trouble.crowd.is_some());
+        let configs: Vec<SessionConfig> =
+            self.robots().iter().map(|robot| with_rate(robot.session().config(), found)).collect();
+        self.agreement_within = check::bound(&configs, hops, published, may, damaged);
         if let Some(seconds) = self.eyes.settings.options.until_agreement_s {
             self.agreement_within = i64::from(seconds) * 1_000_000;
         }
@@ -91,16 +106,17 @@ impl Engine {
     /// that is shared at least half of its share.
     fn longest(&self, micros: impl Fn(&SessionConfig) -> i64) -> i64 {
         let nodes = self.network.nodes();
-        let radio = &self.eyes.settings.radio.config;
-        let share =
-            radio.rate_bytes_per_s.filter(|_| radio.is_shared).map(|rate| rate / (2 * nodes.len() as u32));
-        let longest = nodes.iter().map(|member| {
-            let session = &member.settings.config.session;
-            let found = share.filter(|_| session.congestion_control);
-            let radio_bytes_per_s = session.radio_bytes_per_s.into_iter().chain(found).min();
-            micros(&SessionConfig { radio_bytes_per_s, ..session.clone() })
-        });
+        let longest =
+            nodes.iter().map(|member| micros(&with_rate(&member.settings.config.session, self.found())));
         longest.max().unwrap_or(0)
+    }
+
+    /// A rate that each robot finds at least.
+    fn found(&self) -> Option<u32> {
+        let radio = &self.eyes.settings.radio.config;
+        let rate = radio.rate_bytes_per_s.filter(|_| radio.is_shared)?;
+        let rate = self.eyes.settings.trouble.crowd.map_or(rate, |crowd| crowd.for_robots());
+        Some((rate / (2 * self.network.nodes().len() as u32)).max(20))
     }
 
     pub(super) fn robots(&self) -> Vec<&Robot> {
@@ -183,4 +199,11 @@ impl Engine {
         }
         findings.into_iter().for_each(|(robot, found)| self.eyes.fail(Some(robot), found));
     }
+}
+
+/// The options of a robot that finds this rate, if it finds one.
+fn with_rate(session: &SessionConfig, found: Option<u32>) -> SessionConfig {
+    let found = found.filter(|_| session.congestion_control);
+    let radio_bytes_per_s = session.radio_bytes_per_s.into_iter().chain(found).min();
+    SessionConfig { radio_bytes_per_s, ..session.clone() }
 }
