@@ -151,7 +151,10 @@ impl Engine {
         self.agreement = Some(self.eyes.now - self.eyes.settings.mapping);
         self.eyes.say("all agree".to_owned());
         self.look_at_everything();
-        if self.eyes.settings.options.until_agreement_s.is_some() {
+        let leaves_out = check::leaves_out(&self.eyes.truth, &self.robots(), &self.forgotten());
+        // On a crowded radio it is not known when the last of ended runs has come.
+        let is_endless = leaves_out && self.eyes.settings.trouble.crowd.is_some();
+        if is_endless || self.eyes.settings.options.until_agreement_s.is_some() {
             self.phase = Phase::Over;
             return;
         }
@@ -160,7 +163,6 @@ impl Engine {
         let link = self.eyes.settings.radio.config.link;
         let travel = link.delay_micros + link.jitter_micros;
         let grace = self.longest(check::Quiet::grace_micros) + waiting + 4 * travel;
-        let leaves_out = check::leaves_out(&self.eyes.truth, &self.robots(), &self.forgotten());
         let more = if leaves_out { self.agreement_within } else { 0 };
         let grace = if leaves_out { grace + check::pause_of_relays(&self.robots()) } else { grace };
         self.phase =
