@@ -10,6 +10,7 @@
 #   KILL_AFTER_S (default 4) and DOWN_S (default 2) say when robot 2 is killed, and for how long.
 # exit: 0 equal, 1 not equal or failed, 77 skipped.
 set -eu
+. "$(dirname "$0")/layers.sh"
 
 dir=$1
 command=$2
@@ -70,23 +71,6 @@ for run in "1 $first" "2-again $second" "3 $third"; do
     }
 done
 
-# What a summary says of its streams, without how the packages came.
-layers() {
-    sed -n 's/^      "\(origin\|epoch\|missing\|voxels\|digest\)": *\([^,]*\),\{0,1\}$/\1 \2/p' "$1"
-}
-result=0
-layers "$dir/1.json" > "$dir/expected"
-for n in 2-again 3; do
-    layers "$dir/$n.json" > "$dir/found"
-    if ! diff "$dir/expected" "$dir/found"; then
-        echo "robots 1 and ${n%-again} differ"
-        result=1
-    fi
-done
-streams=$(grep -c '^digest' "$dir/expected" || true)
-if [ "$streams" != 4 ]; then
-    echo "$streams streams, expected 4: one of each robot, and two of the one that was killed"
-    result=1
-fi
-[ $result = 0 ] && echo "three robots hold equal layers of $streams streams"
-exit $result
+# One stream of each robot, and two of the one that was killed.
+equal_layers 4 1 2-again 3 || exit 1
+echo "three robots hold equal layers of 4 streams"

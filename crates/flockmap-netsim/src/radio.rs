@@ -123,8 +123,8 @@ pub struct RadioEmulator {
     sequence: u64,
     /// When a medium that all share is free.
     medium_busy_until: Stamp,
-    /// What others send on it.
-    others: Node,
+    /// Cross traffic on it.
+    cross_traffic: Node,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -207,7 +207,7 @@ impl RadioEmulator {
             in_flight_bytes: 0,
             sequence: 0,
             medium_busy_until: Stamp(i64::MIN),
-            others: Node::default(),
+            cross_traffic: Node::default(),
         };
         nodes.into_iter().for_each(|id| radio.add(id));
         radio
@@ -260,10 +260,11 @@ impl RadioEmulator {
         receivers.into_iter().for_each(|to| self.carry(on_air, from, to, &payload));
     }
 
-    /// Others, whom nobody here hears, send so many bytes on a medium that is shared. They have a queue as each node has.
-    pub fn take_air(&mut self, now: Stamp, bytes: usize) {
+    /// Cross traffic of so many bytes, which nobody here hears, on a medium that is shared. It has a queue as each
+    /// node has. Does nothing if the medium is not shared.
+    pub fn send_cross_traffic(&mut self, now: Stamp, bytes: usize) {
         if self.config.is_shared {
-            self.others.enqueue(now, bytes, &self.config, Some(&mut self.medium_busy_until));
+            self.cross_traffic.enqueue(now, bytes, &self.config, Some(&mut self.medium_busy_until));
         }
     }
 

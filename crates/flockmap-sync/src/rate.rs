@@ -5,8 +5,8 @@
 //! target, a queue stands: the rate goes down to this robot's share of what the radio carries. Else it goes up,
 //! as long as it is used.
 //!
-//! A queue may stand whatever this robot does: others' traffic (TCP, a video) fills it. So the rate does not go below a
-//! share of 41 % of what the radio is known to carry, and does not rise above it until that traffic yields.
+//! A queue may stand whatever this robot does, filled by cross traffic (TCP, a video). So the rate does not go below this
+//! robot's share of 41 % of what the radio is known to carry, and does not rise above it until that traffic yields.
 //!
 //! A short queue overflows before its delay shows. So losses count as a queue too, where they are more than usual.
 
@@ -48,15 +48,16 @@ const WINDOW_MIN: i64 = 500_000;
 const WINDOW_LONG: i64 = 2_000_000;
 /// Samples that are too few are forgotten after so long.
 const WINDOW_MAX: i64 = 20_000_000;
-/// Of what the radio carries so much is for the robots, in per cent, if others fill the queue, …
-const OURS: i64 = 41;
-/// … which may be so if a queue stands while they take less than this of it themselves. It is so if it stands for so long,
-/// and three times as long as it takes to drain, and so long that each robot could have sent four full datagrams.
-const OURS_MAX: i64 = 70;
+/// Share of the radio that the robots keep beside cross traffic, in per cent …
+const SHARE_KEPT: i64 = 41;
+/// … which there may be if a queue stands while they take less than this themselves …
+const SHARE_ALONE: i64 = 70;
+/// … and there is if it stands for so long, for three times its own delay, and for the time of four full datagrams of each
+/// robot.
 const PATIENCE: i64 = 4 * SECOND;
-/// Looked at again after so long.
-const OTHERS_FOR: i64 = 30 * SECOND;
-/// So many pairs are sent on purpose.
+/// For so long the rate does not rise then.
+const CROSS_TRAFFIC_FOR: i64 = 30 * SECOND;
+/// At most so many pairs are sent on purpose.
 const PAIRS_SENT_MAX: u32 = 16;
 /// Datagrams sent within so long are sent at once.
 const AT_ONCE: i64 = 1_000;
@@ -106,10 +107,11 @@ pub(crate) struct Arrival {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Heard {
     pub(crate) bytes: usize,
-    /// Its send stamp, and when the one of that robot before it was sent and came.
+    /// Its send stamp.
     pub(crate) sent: Stamp,
+    /// Send stamp and time of arrival of the datagram of that robot before it.
     pub(crate) before: Option<(Stamp, Stamp)>,
-    /// `None`: not known.
+    /// For how long it queued; `None`: not known.
     pub(crate) queued: Option<i64>,
 }
 
@@ -120,27 +122,29 @@ pub(crate) struct Rate {
     bucket: TokenBucket,
     /// When a queue stood last: what was sent before says nothing of the rate since.
     stood_at: Stamp,
+    /// When the rate went down last.
     went_down_at: Stamp,
     /// When a queue stood for the first time. Before that the rate may double.
     began_at: Option<Stamp>,
-    stands: bool,
+    queue_stands: bool,
     log: SentLog,
     sent_at: Stamp,
+    /// Pairs begun on purpose.
     pairs_sent: u32,
     window: Option<Window>,
     newest_own: Stamp,
-    /// What all robots together sent when a queue stood last, as far as it is heard.
-    carried_then: i64,
+    /// What was carried for all robots when a queue stood last, as far as it is heard.
+    carried_when_full: i64,
     capacity: Capacity,
     losses: Losses,
-    /// Others' traffic fills the queue, as far as is known.
-    others_until: Stamp,
+    /// Until then cross traffic is taken to fill the queue.
+    cross_traffic_until: Stamp,
     /// Own bytes a second that arrived, by the last echoes.
     delivery_rate: Option<u32>,
     /// Bytes sent up to the newest own datagram of which a peer said that it has arrived, and when that one was sent.
     echoed: u64,
     echoed_upto: Option<Stamp>,
-    /// Bytes of others heard, and of so many bytes of them one.
+    /// Bytes of other robots heard: one of so many that they send.
     heard: u64,
     heard_of: i64,
     /// Most bytes that may be out without such a word, as long as no queue stood.
@@ -160,16 +164,16 @@ impl Rate {
             stood_at: Stamp(i64::MIN),
             went_down_at: Stamp(i64::MIN),
             began_at: None,
-            stands: false,
+            queue_stands: false,
             log: SentLog::default(),
             sent_at: Stamp(i64::MIN),
             pairs_sent: 0,
             window: None,
             newest_own: Stamp(i64::MIN),
-            carried_then: 0,
+            carried_when_full: 0,
             capacity: Capacity::new(),
             losses: Losses::new(),
-            others_until: Stamp(i64::MIN),
+            cross_traffic_until: Stamp(i64::MIN),
             delivery_rate: None,
             echoed: 0,
             echoed_upto: None,
@@ -210,10 +214,10 @@ impl Rate {
         self.bytes_per_s
     }
 
-    /// `None` if `bytes` may be sent now, else the earliest time at which they may. Where a queue stands, in pairs: others
-    /// learn from them what the radio carries.
+    /// `None` if `bytes` may be sent now, else the earliest time at which they may. Where a queue stands, two at once: from
+    /// such pairs the others learn what the radio carries.
     pub(crate) fn wait(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
-        let begins_pair = self.stands
+        let begins_pair = self.queue_stands
             && self.pairs_sent < PAIRS_SENT_MAX
             && !self.capacity.is_known_by_pairs()
             && now.micros_since(self.sent_at) > AT_ONCE
@@ -309,19 +313,19 @@ impl Rate {
         let own = if is_lossy { self.losses.arriving(own) } else { own };
         let peers = peers.min(1 << 16) as i64;
         let robots = peers + 1;
-        // By unicast others send as much to each other, as far as is known.
+        // By unicast the other robots are taken to send each other as much as they send here.
         self.heard_of = if is_heard_by_all { 1 } else { peers };
         let carried = own + per_second(window.heard, passed) * self.heard_of;
         let capacity = self.capacity.bytes_per_s();
         // Robots that fill the queue alone get all that the radio carries.
-        let others = carried < capacity * OURS_MAX / 100;
-        let two_datagrams = 2 * FULL_DATAGRAM * SECOND / if others { capacity } else { carried }.max(1);
+        let is_shared = carried < capacity * SHARE_ALONE / 100;
+        let two_datagrams = 2 * FULL_DATAGRAM * SECOND / if is_shared { capacity } else { carried }.max(1);
         let limit = TARGET + two_datagrams.min(TARGET_MAX);
         let share = if is_heard_by_all || capacity == 0 { carried } else { carried.min(capacity) } / robots;
         let before = i64::from(self.bytes_per_s);
         let is_used = before < 2 * sent.max(share);
-        self.stands = least > limit || (is_used && is_lossy);
-        let to = if self.stands {
+        self.queue_stands = least > limit || (is_used && is_lossy);
+        let to = if self.queue_stands {
             let part = match least {
                 least if least > 16 * limit => 40,
                 least if self.in_slow_start() || least > 4 * limit => 60,
@@ -334,30 +338,30 @@ impl Rate {
                 (None, true) => 0,
                 (None, false) => own / 2,
             };
-            let least_share = match capacity * OURS / 100 {
-                _ if !others => 0,
-                ours if is_heard_by_all => ours / robots,
-                ours => ours * own.max(carried / robots) / carried.max(1),
+            let least_share = match capacity * SHARE_KEPT / 100 {
+                _ if !is_shared => 0,
+                kept if is_heard_by_all => kept / robots,
+                kept => kept * own.max(carried / robots) / carried.max(1),
             };
             (own.max(share) * part / 100).min(before).max(least_share.min(2 * before))
-        } else if (is_used || before < self.carried_then / robots) && now >= self.others_until {
+        } else if (is_used || before < self.carried_when_full / robots) && now >= self.cross_traffic_until {
             let more = if self.in_slow_start() { before } else { before / 8 + 4 };
             // What the radio carried before and does not carry now is shared by those who send.
-            let unused = self.carried_then * 9 / 10 - carried;
+            let unused = self.carried_when_full * 9 / 10 - carried;
             before + more + 2 * unused.max(0) / robots
         } else {
             before
         };
-        if self.stands {
-            self.carried_then = carried;
+        if self.queue_stands {
+            self.carried_when_full = carried;
             self.began_at.get_or_insert(now);
             self.stood_at = now;
             let stood_for = now.micros_since(self.went_down_at);
             if to < before {
                 self.went_down_at = now;
                 self.losses.begin_anew();
-            } else if others && stood_for > PATIENCE.max(3 * least).max(2 * two_datagrams * robots) {
-                self.others_until = now.plus_micros(OTHERS_FOR);
+            } else if is_shared && stood_for > PATIENCE.max(3 * least).max(2 * two_datagrams * robots) {
+                self.cross_traffic_until = now.plus_micros(CROSS_TRAFFIC_FOR);
             }
         }
         self.window = None;
@@ -368,6 +372,8 @@ impl Rate {
 }
 
 #[cfg(test)]
-mod beside_others;
+mod cross_traffic;
+#[cfg(test)]
+mod model;
 #[cfg(test)]
 mod tests;

@@ -283,6 +283,18 @@ mod tests {
         snapshots.go_on(FORM)
     }
 
+    /// Makes what is wanted, in as many calls as it takes.
+    fn make(snapshots: &mut Snapshots, layer: &Layer, cuts: Cuts, form: Form) -> Vec<Package> {
+        snapshots.note_call();
+        let wanted = snapshots.take_turn().unwrap();
+        snapshots.begin(layer, wanted, cuts, form);
+        let made = (0..1_000).find_map(|_| {
+            snapshots.note_call();
+            snapshots.go_on(form)
+        });
+        made.expect("no endless loop").1.unwrap()
+    }
+
     fn layer() -> Layer {
         let mut layer = Layer::default();
         let cube = (0..16).flat_map(|x| (0..16).flat_map(move |y| (0..16).map(move |z| (x, y, z))));
@@ -323,14 +335,7 @@ mod tests {
             let cuts = Cuts { stamps, newest, has_all: true, changed_upto: None, says_upto: None };
             let newer_than = (since > 0).then_some(Stamp(since.into()));
             snapshots.want(Wanted { since, upto: newest, in_pieces: true, ..wanted(1, newer_than) });
-            snapshots.note_call();
-            let wanted = snapshots.take_turn().unwrap();
-            snapshots.begin(&layer, wanted, cuts, form);
-            let made = (0..1_000).find_map(|_| {
-                snapshots.note_call();
-                snapshots.go_on(form)
-            });
-            let chunks = made.unwrap().1.unwrap();
+            let chunks = make(&mut snapshots, &layer, cuts, form);
             assert_eq!((chunks[0].header().index, chunks[0].header().changed_upto), (since + 1, Some(of)));
         }
     }
@@ -348,14 +353,7 @@ mod tests {
         let cuts = Cuts { stamps, newest: 3, has_all: true, changed_upto: None, says_upto: None };
         let mut snapshots = Snapshots::default();
         snapshots.want(Wanted { in_pieces: true, upto: 3, ..wanted(1, None) });
-        snapshots.note_call();
-        let wanted = snapshots.take_turn().unwrap();
-        snapshots.begin(&layer, wanted, cuts, form);
-        let made = (0..1_000).find_map(|_| {
-            snapshots.note_call();
-            snapshots.go_on(form)
-        });
-        assert!(!made.expect("no endless loop").1.unwrap().is_empty());
+        assert!(!make(&mut snapshots, &layer, cuts, form).is_empty());
     }
 
     #[test]

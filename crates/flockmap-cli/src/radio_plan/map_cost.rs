@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::power::{Place, between};
+use super::interpolation::{Place, between};
 
 /// Sides of voxels that were measured, in metres.
 pub const RESOLUTIONS_M: [f64; 3] = [0.1, 0.2, 0.4];

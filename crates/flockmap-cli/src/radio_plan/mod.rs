@@ -1,8 +1,8 @@
 //! Which radio carries how many robots of which kind: what a robot maps, what that takes on the air, and what
 //! the radio carries. Plain functions of figures that were measured.
 
+mod interpolation;
 mod map_cost;
-mod power;
 mod radio;
 mod swarm_costs;
 

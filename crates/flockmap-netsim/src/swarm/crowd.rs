@@ -1,19 +1,18 @@
-//! A thin radio that robots and others share, and that carries less than they would send: nobody tells the robots what it
-//! carries, or they have tiny budgets. What is looked at is how much of it brings something new.
+//! A thin radio with cross traffic, which carries less than the robots would send. Nobody tells them what it carries, or
+//! they have tiny budgets. It is measured how much of it brings something new.
 
+use super::preset::BUDGET_MIN;
 use super::purpose;
 use crate::{IP_UDP_BYTES, RadioConfig};
 use flockmap::{Cast, RobotId, SessionConfig};
 use flockmap_worlds::random::Random;
 use std::collections::BTreeSet;
 
-/// Bytes of a datagram of others.
-const OTHERS_BYTES: usize = 1_400;
+/// Bytes of a datagram of cross traffic.
+const CROSS_TRAFFIC_BYTES: usize = 1_400;
 /// Least share of a robot, for each copy that it sends.
 const SHARE_MIN: u32 = 100;
-/// The least budget that a session takes.
-const BUDGET_MIN: u32 = 20;
-/// New bytes are to take so much of what the radio carries for the robots, in per cent.
+/// Share of what the radio carries for the robots that new bytes are to take, in per cent.
 const NEW_MIN: u64 = 60;
 
 /// What is drawn.
@@ -23,8 +22,8 @@ pub(super) struct Crowd {
     pub(super) rate_bytes_per_s: u32,
     queue_bytes_max: usize,
     airtime_overhead_micros: i64,
-    /// Share of it that others take, 0 … 1.
-    others: f64,
+    /// Share of it that cross traffic takes, 0 … 1.
+    cross_traffic: f64,
     /// Bytes that each robot may send in a second.
     budget_bytes_per_s: Option<u32>,
 }
@@ -36,7 +35,7 @@ impl Crowd {
             rate_bytes_per_s: (300.0 * 40_f64.powf(random.unit())) as u32,
             queue_bytes_max: (4 + random.below(28) as usize) << 10,
             airtime_overhead_micros: if random.happens(0.5) { random.below(10_000) as i64 } else { 0 },
-            others: if random.happens(0.5) { random.range(0.05, 0.5) } else { 0.0 },
+            cross_traffic: if random.happens(0.5) { random.range(0.05, 0.5) } else { 0.0 },
             budget_bytes_per_s: random.happens(0.25).then(|| BUDGET_MIN + random.below(480) as u32),
         })
     }
@@ -64,13 +63,13 @@ impl Crowd {
 
     /// Bytes a second that it carries for the robots.
     pub(super) fn for_robots(&self) -> u32 {
-        (f64::from(self.rate_bytes_per_s) * (1.0 - self.others)) as u32
+        (f64::from(self.rate_bytes_per_s) * (1.0 - self.cross_traffic)) as u32
     }
 
-    /// Others send so many bytes at once, and again after so many microseconds.
-    pub(super) fn others(&self) -> Option<(usize, i64)> {
-        let rate = f64::from(self.rate_bytes_per_s) * self.others;
-        (rate > 0.0).then(|| (OTHERS_BYTES, (OTHERS_BYTES as f64 * 1e6 / rate) as i64))
+    /// Bytes of each datagram of cross traffic, and microseconds from one to the next.
+    pub(super) fn cross_traffic(&self) -> Option<(usize, i64)> {
+        let rate = f64::from(self.rate_bytes_per_s) * self.cross_traffic;
+        (rate > 0.0).then(|| (CROSS_TRAFFIC_BYTES, (CROSS_TRAFFIC_BYTES as f64 * 1e6 / rate) as i64))
     }
 
     pub(super) fn note(&self) -> String {
@@ -78,9 +77,9 @@ impl Crowd {
             .budget_bytes_per_s
             .map_or_else(String::new, |budget| format!(", {budget} bytes/s for each robot"));
         format!(
-            "a crowded radio: {} bytes/s, of which others take {:.0} %{budget}",
+            "a crowded radio: {} bytes/s, of which cross traffic takes {:.0} %{budget}",
             self.rate_bytes_per_s,
-            100.0 * self.others
+            100.0 * self.cross_traffic
         )
     }
 }
@@ -108,7 +107,7 @@ impl NewBytes {
         self.could += micros.max(0) as u64 * u64::from(bytes_per_s) / 1_000_000;
     }
 
-    /// New bytes, what could have gone out, and whether they are as many as is asked for.
+    /// New bytes, what could have gone out, and whether they are 60 % of it.
     pub(super) fn sum(&self) -> (u64, u64, bool) {
         (self.new, self.could, 100 * self.new >= NEW_MIN * self.could)
     }

@@ -83,8 +83,8 @@ struct Engine {
     closed: BTreeMap<(usize, usize), u32>,
     next_look: i64,
     next_whole_look: i64,
-    /// When others send next.
-    next_others: i64,
+    /// When cross traffic comes next.
+    next_cross_traffic: i64,
     agreement: Option<i64>,
     agreement_within: i64,
 }
@@ -121,7 +121,7 @@ impl Engine {
             closed,
             next_look: 0,
             next_whole_look: LOOK_WHOLE_EVERY,
-            next_others: 0,
+            next_cross_traffic: 0,
             agreement: None,
             agreement_within: 0,
         }
@@ -139,7 +139,7 @@ impl Engine {
             self.network.deliver_due(&mut self.eyes);
             self.attack();
             self.burden();
-            self.take_air();
+            self.send_cross_traffic();
             for number in 0..self.network.nodes().len() {
                 if self.phase == Phase::Mapping && self.network.nodes()[number].next_scan <= now {
                     let world = &self.world;
@@ -160,8 +160,8 @@ impl Engine {
         let action = self.eyes.settings.plan.get(self.next_action).map_or(NEVER, |(at, _)| *at);
         let outsider = self.eyes.outsider.as_ref().map_or(NEVER, |outsider| outsider.next);
         let costly = self.costly.as_ref().map_or(NEVER, |costly| costly.next);
-        let others = if self.others().is_some() { self.next_others } else { NEVER };
-        let mut next = network.min(action).min(self.next_look).min(outsider).min(costly).min(others);
+        let cross_traffic = if self.cross_traffic().is_some() { self.next_cross_traffic } else { NEVER };
+        let mut next = network.min(action).min(self.next_look).min(outsider).min(costly).min(cross_traffic);
         if self.phase == Phase::Mapping {
             next = self.network.nodes().iter().map(|member| member.next_scan).fold(next, i64::min);
         }
@@ -258,16 +258,18 @@ impl Engine {
         }
     }
 
-    /// What others send on a crowded radio, until all agree.
-    fn others(&self) -> Option<(usize, i64)> {
+    /// Cross traffic on a crowded radio, until all agree.
+    fn cross_traffic(&self) -> Option<(usize, i64)> {
         let is_over = !matches!(self.phase, Phase::Mapping | Phase::Healing { .. });
-        self.eyes.settings.trouble.crowd.filter(|_| !is_over)?.others()
+        self.eyes.settings.trouble.crowd.filter(|_| !is_over)?.cross_traffic()
     }
 
-    fn take_air(&mut self) {
-        while let Some((bytes, pause)) = self.others().filter(|_| self.next_others <= self.eyes.now) {
-            self.network.radio_mut().take_air(Stamp(self.next_others), bytes);
-            self.next_others += pause.max(1);
+    fn send_cross_traffic(&mut self) {
+        while let Some((bytes, pause)) =
+            self.cross_traffic().filter(|_| self.next_cross_traffic <= self.eyes.now)
+        {
+            self.network.radio_mut().send_cross_traffic(Stamp(self.next_cross_traffic), bytes);
+            self.next_cross_traffic += pause.max(1);
         }
     }
 
@@ -297,11 +299,10 @@ impl Engine {
     fn report(mut self) -> Report {
         let mut seen = core::mem::take(&mut self.eyes.seen);
         if let Some((new, could, is_enough)) = self.eyes.new_bytes.as_ref().map(NewBytes::sum) {
-            let enough = "crowded: new bytes took what they are to take";
             for (name, count) in [
                 ("crowded: bytes that could go out", could),
                 ("crowded: new bytes", new),
-                (enough, is_enough.into()),
+                ("crowded: new bytes took 60 %", is_enough.into()),
             ] {
                 *seen.entry(name).or_default() += count;
             }

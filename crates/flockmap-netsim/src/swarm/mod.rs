@@ -36,6 +36,6 @@ mod world;
 pub use check::Failure;
 pub use engine::{describe, fly};
 pub use options::SwarmOptions;
-pub use preset::{RadioNumbers, RadioPreset, Topology};
+pub use preset::{BUDGET_MIN, RadioNumbers, RadioPreset, Topology};
 pub use report::{Report, RobotFigures, Seen};
 pub use table_row::{TableRow, rows as table_rows};

@@ -16,7 +16,7 @@ pub struct SwarmOptions {
     pub seconds: Option<f64>,
     /// To each peer on its own, or to all at once.
     pub cast: Option<Cast>,
-    /// Bytes that each robot may send in a second, in all; 20 or more.
+    /// Bytes that each robot may send in a second, in all; [`BUDGET_MIN`](super::BUDGET_MIN) or more.
     pub budget_bytes_per_s: Option<u32>,
     /// No crashes, partitions, half-open links, tight limits or mixed settings: the radio alone.
     pub is_calm: bool,

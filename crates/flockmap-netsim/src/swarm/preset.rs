@@ -5,6 +5,9 @@ use crate::{Burst, IP_UDP_BYTES, Link, RadioConfig};
 use core::fmt;
 use core::str::FromStr;
 
+/// The least budget that a session takes, in bytes a second.
+pub const BUDGET_MIN: u32 = 20;
+
 /// A radio that people use.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub enum RadioPreset {
@@ -134,11 +137,11 @@ const fn link(delay_micros: i64, jitter_micros: i64, loss: f64) -> Link {
 }
 
 impl RadioNumbers {
-    /// What one of so many robots may send in a second. At least 500, the least that a session can do with.
+    /// What one of so many robots may send in a second, at least [`BUDGET_MIN`].
     pub fn budget(&self, robots: usize) -> Option<u32> {
         let shared = self.config.rate_bytes_per_s.filter(|_| self.config.is_shared);
         let part = shared.map(|rate| (u64::from(rate) * 7 / 10 / robots.max(1) as u64) as u32);
-        part.or(self.budget_bytes_per_s).map(|budget| budget.max(20))
+        part.or(self.budget_bytes_per_s).map(|budget| budget.max(BUDGET_MIN))
     }
 
     /// Links between the robots 0 … n − 1, both directions alike.

@@ -2,7 +2,7 @@
 
 use super::clock::Clock;
 use super::plan::{self, Action};
-use super::preset::{RadioNumbers, RadioPreset, Topology};
+use super::preset::{BUDGET_MIN, RadioNumbers, RadioPreset, Topology};
 use super::purpose;
 use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
@@ -123,7 +123,7 @@ impl Settings {
             sessions.iter_mut().for_each(|session| crowd.limit(session));
         }
         if let Some(budget) = options.budget_bytes_per_s {
-            sessions.iter_mut().for_each(|session| session.radio_bytes_per_s = Some(budget.max(20)));
+            sessions.iter_mut().for_each(|session| session.radio_bytes_per_s = Some(budget.max(BUDGET_MIN)));
             notes.push(format!("but {budget} bytes/s, as asked"));
         }
         let has_paths = trouble.has_paths && key.is_some() && cast == Cast::Unicast;

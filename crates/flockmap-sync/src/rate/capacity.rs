@@ -1,7 +1,6 @@
 //! What the radio carries, whoever uses it.
 //!
-//! Where the traffic of others fills the queue, nothing that a robot does empties it. Then it goes by what the radio
-//! carried before, or by pairs of datagrams: two that are sent at once stand in the queue one behind the other, and arrive
+//! Where cross traffic fills the queue, nothing that a robot does empties it. Then it goes by what the radio carried before, or by pairs of datagrams: two that are sent at once stand in the queue one behind the other, and arrive
 //! as far apart as the radio takes for the second (packet pairs, Keshav 1991).
 
 use super::queueing::Least;
@@ -36,19 +35,20 @@ const PAIR_BYTES_MIN: usize = 400;
 pub(super) struct Arrived {
     /// When the newest own datagram that arrived was sent.
     pub(super) sent: Stamp,
-    /// Own bytes sent up to a datagram that arrived then: when it was sent and for how long it queued, added.
+    /// Own bytes sent up to it.
     pub(super) own: u64,
+    /// When it arrived, but for the base delay: when it was sent, and the time that it queued.
     pub(super) own_at: Stamp,
-    /// Bytes of others heard.
+    /// Bytes of other robots heard.
     pub(super) heard: u64,
     pub(super) heard_at: Stamp,
 }
 
 #[derive(Clone, Debug)]
 pub(super) struct Capacity {
-    /// The most that was carried, negative.
-    most: Least,
-    /// The time that is measured now, and the one before it: of what was sent in that it is known by now what was lost.
+    /// The most that was carried in a second, with a minus: of those the least.
+    minus_most: Least,
+    /// What is measured now, and what was before: of that it is known by now which datagrams were lost.
     now: Option<Measured>,
     before: Option<Measured>,
     /// Bytes a second.
@@ -59,7 +59,7 @@ pub(super) struct Capacity {
 #[derive(Clone, Copy, Debug)]
 struct Measured {
     since: Arrived,
-    /// Own and others' bytes a second, once it is over.
+    /// Own and other robots' bytes a second, once it is over.
     own: i64,
     heard: i64,
     /// Own datagrams sent since then of which it is known whether they arrived, and those of them that did.
@@ -80,12 +80,12 @@ impl Measured {
 
 impl Capacity {
     pub(super) const fn new() -> Self {
-        Self { most: Least::new(SPAN), now: None, before: None, pairs: VecDeque::new() }
+        Self { minus_most: Least::new(SPAN), now: None, before: None, pairs: VecDeque::new() }
     }
 
     /// Bytes a second; 0: not known.
     pub(super) fn bytes_per_s(&self) -> i64 {
-        let most = self.most.get().map_or(0, |most| -most);
+        let most = self.minus_most.get().map_or(0, |minus| -minus);
         let by_pairs = if self.is_known_by_pairs() {
             let mut pairs: Vec<i64> = self.pairs.iter().copied().collect();
             pairs.sort_unstable();
@@ -116,7 +116,7 @@ impl Capacity {
         }
     }
 
-    /// `heard_of`: of so many bytes of others one is heard.
+    /// `heard_of`: this robot hears one of so many bytes that other robots send.
     pub(super) fn note_arrived(&mut self, now: Stamp, arrived: Arrived, heard_of: i64) {
         let measured = self.now.get_or_insert_with(|| Measured::begin(arrived));
         let since = measured.since;
@@ -128,7 +128,7 @@ impl Capacity {
         }
         (measured.own, measured.heard) = (per_second(own, own_for), per_second(heard, heard_for));
         if let Some(before) = core::mem::replace(&mut self.before, self.now.take()) {
-            self.most.note(now, -before.bytes_per_s(heard_of));
+            self.minus_most.note(now, -before.bytes_per_s(heard_of));
         }
         self.now = Some(Measured::begin(arrived));
     }

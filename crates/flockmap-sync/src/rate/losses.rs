@@ -15,10 +15,10 @@ const SPAN: Duration = Duration::from_secs(60);
 
 #[derive(Clone, Debug)]
 pub(super) struct Losses {
-    /// Since the rate went down last, in parts of [`LOSS_ONE`], and of how many.
+    /// Smoothed, in parts of [`LOSS_ONE`].
     share: u32,
+    /// Datagrams since the rate went down last, and in all.
     count: u32,
-    /// Of how many in all.
     all: u32,
     /// The least share of one to two minutes.
     usual: Least,

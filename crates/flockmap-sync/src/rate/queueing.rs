@@ -22,21 +22,21 @@ impl Least {
 
     /// Takes a value in; the least with it.
     pub(super) fn note(&mut self, now: Stamp, value: i64) -> i64 {
+        let is_over = now.since(self.since) >= self.span;
         let [this, before] = match self.values {
-            None => [value; 2],
-            Some([this, _]) if now.since(self.since) >= self.span => [value, this],
-            Some([this, before]) => [this.min(value), before],
+            Some([this, before]) if !is_over => [this.min(value), before],
+            values => {
+                self.since = now;
+                [value, values.map_or(value, |[this, _]| this)]
+            }
         };
-        if self.values.is_none() || now.since(self.since) >= self.span {
-            self.since = now;
-        }
         self.values = Some([this, before]);
         this.min(before)
     }
 }
 
 /// How long datagrams in one direction queue: the delay of each against the base delay, the least one of the last five to
-/// ten minutes. (In less time a queue that others keep full would become the base.)
+/// ten minutes. (In less time a queue that cross traffic keeps full would become the base.)
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct QueueingDelay {
     /// In microseconds, between two clocks.

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::rate::sent_log::{LOG_GRAIN, LOG_MAX};
-use std::collections::{BTreeMap, VecDeque};
+use model::Robot;
+use std::collections::VecDeque;
 
 const STEP: i64 = 10_000;
 const BYTES: usize = 600;
@@ -18,20 +19,11 @@ struct Medium {
     in_flight: VecDeque<(usize, Stamp, i64)>,
 }
 
-struct Robot {
-    rate: Rate,
-    /// From and to each other robot, and what that said last.
-    waits: BTreeMap<usize, (QueueingDelay, QueueingDelay, Option<Arrival>)>,
-    newest: BTreeMap<usize, Arrival>,
-    sent: u64,
-    /// Bytes a second that it would send.
-    wants: u64,
-    clock: i64,
-}
-
 struct Swarm {
     medium: Medium,
     robots: Vec<Robot>,
+    /// Bytes a second that each would send.
+    wants: Vec<u64>,
     now: i64,
     arrived: Vec<u64>,
     waited_most: i64,
@@ -39,17 +31,10 @@ struct Swarm {
 
 impl Swarm {
     fn new(robots: usize, bytes_per_s: i64, wants: u64) -> Self {
-        let robot = |number| Robot {
-            rate: Rate::new(),
-            waits: BTreeMap::new(),
-            newest: BTreeMap::new(),
-            sent: 0,
-            wants,
-            clock: (number as i64 - 2) * 77_000_000,
-        };
         Self {
             medium: Medium { bytes_per_s, busy_until: 0, in_flight: VecDeque::new() },
-            robots: (0..robots).map(robot).collect(),
+            robots: (0..robots).map(Robot::new).collect(),
+            wants: vec![wants; robots],
             now: 0,
             arrived: vec![0; robots],
             waited_most: 0,
@@ -69,8 +54,8 @@ impl Swarm {
         let count = self.robots.len();
         for number in (0..count).map(|k| (k + (self.now / STEP) as usize) % count) {
             let robot = &mut self.robots[number];
-            let now = Stamp(self.now + robot.clock);
-            while robot.sent < robot.wants * self.now as u64 / SECOND as u64
+            let now = robot.now(self.now);
+            while robot.sent < self.wants[number] * self.now as u64 / SECOND as u64
                 && robot.rate.wait(now, BYTES).is_none()
             {
                 robot.rate.spend(now, BYTES);
@@ -89,25 +74,18 @@ impl Swarm {
             self.waited_most = self.waited_most.max(at - (sent.0 - self.robots[from].clock));
             for to in (0..count).filter(|to| *to != from) {
                 let robot = &mut self.robots[to];
-                let now = Stamp(self.now + robot.clock);
-                let (queueing_in, ..) = robot.waits.entry(from).or_default();
-                let waited = queueing_in.sample(now, now.micros_since(sent));
-                robot.rate.note_heard(now, Heard { bytes: BYTES, sent, before: None, queued: waited });
-                robot.newest.insert(from, Arrival { sent, arrived: now });
+                robot.hear((self.now, at), from, sent, BYTES);
+                let now = robot.now(self.now);
                 robot.rate.review(now, count - 1, true);
             }
         }
         // Each tells one other what came, in turn.
         if self.now % (SECOND / 10) == 0 {
             let teller = (self.now / (SECOND / 10)) as usize % count;
-            let newest = core::mem::take(&mut self.robots[teller].newest);
-            for (about, arrival) in newest {
+            for (about, arrival) in core::mem::take(&mut self.robots[teller].untold) {
                 let robot = &mut self.robots[about];
-                let now = Stamp(self.now + robot.clock);
-                let (_, queueing_out, before) = robot.waits.entry(teller).or_default();
-                let waited = queueing_out.sample(now, arrival.arrived.micros_since(arrival.sent));
-                let before = before.replace(arrival);
-                robot.rate.note_arrival(now, arrival, before, waited);
+                robot.be_told(self.now, teller, arrival);
+                let now = robot.now(self.now);
                 robot.rate.review(now, count - 1, true);
             }
         }
@@ -154,9 +132,7 @@ fn a_rate_goes_up_again_when_others_fall_silent() {
     swarm.run(60);
     let before = swarm.robots[0].rate.bytes_per_s();
     assert!(before < 12_000, "{before}");
-    for robot in &mut swarm.robots[1..] {
-        robot.wants = 0;
-    }
+    swarm.wants[1..].fill(0);
     swarm.run(60);
     let after = swarm.robots[0].rate.bytes_per_s();
     assert!(after > 2 * before || after > 15_000, "{before}, then {after} bytes/s");

@@ -258,7 +258,9 @@ impl Session {
             },
         };
         let (mut confirmed, mut lost) = (0, 0);
-        let mut outcomes = Vec::new();
+        let rate = &mut self.outbox.rate;
+        let mut note =
+            |sent: Stamp, is_lost| rate.iter_mut().for_each(|rate| rate.note_outcome(now, sent, is_lost));
         let own = self.identity.own.origin;
         let is_named = |stream: Stream, snapshot_id: u32| {
             request
@@ -293,14 +295,14 @@ impl Session {
             };
             if received {
                 confirmed += 1;
-                outcomes.push((sent.at, false));
+                note(sent.at, false);
                 return false;
             }
             sent.requests = sent.requests.saturating_add(u8::from(stated));
             let gone = stated && is_lost(sent);
             lost += u64::from(gone);
             if gone {
-                outcomes.push((sent.at, true));
+                note(sent.at, true);
             }
             if let Item::Chunk { snapshot_id, .. } = sent.item
                 && gone
@@ -327,11 +329,6 @@ impl Session {
         }
         let Some(peer) = self.peers.get_mut(&id) else { return };
         peer.loss.sample(confirmed, lost);
-        if let Some(rate) = &mut self.outbox.rate {
-            for (sent, is_lost) in outcomes {
-                rate.note_outcome(now, sent, is_lost);
-            }
-        }
 
         peer.cover_anew(self.config.in_flight_max);
     }

@@ -17,7 +17,7 @@ use flockmap_cli::options::named;
 use flockmap_cli::parallel::{cores, in_parallel};
 use flockmap_cli::program::command_line;
 use flockmap_cli::progress::Progress;
-use flockmap_netsim::swarm::{Report, SwarmOptions, describe, fly};
+use flockmap_netsim::swarm::{BUDGET_MIN, Report, SwarmOptions, describe, fly};
 use serde_json::{Value, json};
 
 /// Fly the sync protocol of a whole swarm in virtual time, under everything that a seed can do, with checkers
@@ -100,7 +100,7 @@ fn run_line(args: &SimSwarmArgs) -> anyhow::Result<bool> {
     let seconds_fit = args.seconds.is_none_or(|s| (0.1..=3_600.0).contains(&s));
     ensure!(seconds_fit, "--seconds must be 0.1 to 3,600");
     ensure!(args.threads.is_none_or(|n| (1..=1_000).contains(&n)), "--threads must be 1 to 1,000");
-    ensure!(args.budget.is_none_or(|n| n >= 20), "--budget must be 20 or more");
+    ensure!(args.budget.is_none_or(|n| n >= BUDGET_MIN), "--budget must be {BUDGET_MIN} or more");
     ensure!(args.seeds.is_none_or(|n| n > 0), "--seeds must be 1 or more");
     match args.seeds {
         None => one(args),

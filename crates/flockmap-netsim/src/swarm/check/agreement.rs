@@ -35,6 +35,9 @@ const ANEW: i64 = 80_000_000;
 /// Who was asked for what was dropped, and does not give it, is given up after so long.
 const REST: i64 = 40_000_000;
 
+/// The longest time without an answer after which something counts as lost.
+const ROUND_TRIP_MAX: i64 = 30_000_000;
+
 /// A package that does not decode is asked for again after so long.
 const REFUSED: i64 = 10_000_000;
 
@@ -71,10 +74,11 @@ pub(in crate::swarm) fn bound(
 
 /// How long nothing of a run that has ended may flow though somebody will still pass it on, in microseconds:
 /// gaps stand for 10 s, then each robot waits its turn in the line of those who answer (WIRE.md, "Who
-/// answers").
-pub(in crate::swarm) fn pause_of_relays(robots: &[&Robot]) -> i64 {
+/// answers"). A turn is two round trips at the least, which a crowded radio makes as long as a session reckons with.
+pub(in crate::swarm) fn pause_of_relays(robots: &[&Robot], is_crowded: bool) -> i64 {
     let delays = robots.iter().map(|robot| 1_000 * i64::from(robot.session().config().relay_delay_ms));
-    10_000_000 + robots.len() as i64 * delays.max().unwrap_or(0)
+    let round_trips = if is_crowded { 2 * ROUND_TRIP_MAX } else { 0 };
+    10_000_000 + robots.len() as i64 * delays.max().unwrap_or(0).max(round_trips)
 }
 
 /// The first robot that flies in a run below one of its own id that somebody knows: it has to begin anew.

@@ -151,10 +151,7 @@ impl Engine {
         self.agreement = Some(self.eyes.now - self.eyes.settings.mapping);
         self.eyes.say("all agree".to_owned());
         self.look_at_everything();
-        let leaves_out = check::leaves_out(&self.eyes.truth, &self.robots(), &self.forgotten());
-        // On a crowded radio it is not known when the last of ended runs has come.
-        let is_endless = leaves_out && self.eyes.settings.trouble.crowd.is_some();
-        if is_endless || self.eyes.settings.options.until_agreement_s.is_some() {
+        if self.eyes.settings.options.until_agreement_s.is_some() {
             self.phase = Phase::Over;
             return;
         }
@@ -162,9 +159,12 @@ impl Engine {
         let waiting = self.network.radio().last_due().map_or(0, |last| (last.0 - self.eyes.now).max(0));
         let link = self.eyes.settings.radio.config.link;
         let travel = link.delay_micros + link.jitter_micros;
+        let is_crowded = self.eyes.settings.trouble.crowd.is_some();
         let grace = self.longest(check::Quiet::grace_micros) + waiting + 4 * travel;
+        let leaves_out = check::leaves_out(&self.eyes.truth, &self.robots(), &self.forgotten());
         let more = if leaves_out { self.agreement_within } else { 0 };
-        let grace = if leaves_out { grace + check::pause_of_relays(&self.robots()) } else { grace };
+        let grace =
+            if leaves_out { grace + check::pause_of_relays(&self.robots(), is_crowded) } else { grace };
         self.phase =
             Phase::Grace { until: self.eyes.now + grace, grace, latest: self.eyes.now + grace + more };
     }

@@ -1,18 +1,19 @@
 #!/bin/sh
-# Five robots beside a stream of others, all on one link with a rate cap: the loopback of a network namespace of their own, with
-# tbf on it. Nobody tells the robots a budget. In the end all five must hold equal layers; the robots must have got 25 % of the
-# link and the others 40 %, from the 8th second until the last package had arrived.
+# Five robots beside cross traffic, all on one link with a rate cap: the loopback of a network namespace of their own, with tbf
+# on it. Nobody tells the robots a budget. In the end all five must hold equal layers; the robots must have got 25 % of the
+# link and the cross traffic 40 %, from the 8th second until the last package had arrived.
 #
-# usage: beside_others.sh FLOCKMAP [DIR]
+# usage: cross_traffic.sh FLOCKMAP [DIR]
 #   FLOCKMAP is the program; records, configurations, logs and summaries go to DIR (default: a new folder, removed at the end).
-# environment, with defaults: RATE_KBIT=50 QUEUE_BYTES=16384 OTHERS=tcp (or udp: at OTHERS_KBIT=30, whatever becomes of it)
+# environment, with defaults: RATE_KBIT=50 QUEUE_BYTES=16384 CROSS=tcp (or udp: at CROSS_KBIT=30, whatever becomes of it)
 #   FLIGHT_S=40 QUIET_S=45 (a robot ends when its record is over and nothing new has come for so long)
 # needs: root, ip and tc with tbf, python3 (the stream). exit: 0 as it must be, 1 not so, 77 skipped.
 set -eu
+. "$(dirname "$0")/layers.sh"
 
 flockmap=$1
 dir=${2:-}
-RATE_KBIT=${RATE_KBIT:-50} QUEUE_BYTES=${QUEUE_BYTES:-16384} OTHERS=${OTHERS:-tcp} OTHERS_KBIT=${OTHERS_KBIT:-30}
+RATE_KBIT=${RATE_KBIT:-50} QUEUE_BYTES=${QUEUE_BYTES:-16384} CROSS=${CROSS:-tcp} CROSS_KBIT=${CROSS_KBIT:-30}
 FLIGHT_S=${FLIGHT_S:-40} QUIET_S=${QUIET_S:-45}
 robots="1 2 3 4 5"
 name=flockmap$$
@@ -107,7 +108,7 @@ END
     pids="$pids $!"
 done
 nodes=$pids
-ip netns exec "$name" python3 "$dir/stream.py" "$OTHERS" "$OTHERS_KBIT" > "$dir/others.txt" &
+ip netns exec "$name" python3 "$dir/stream.py" "$CROSS" "$CROSS_KBIT" > "$dir/cross.txt" &
 pids="$pids $!"
 began=$(date +%s)
 (
@@ -125,24 +126,12 @@ for pid in $nodes; do
 done
 ended=$(($(date +%s) - began - QUIET_S))
 
-# What a summary says of its streams, without how the packages came.
-layers() {
-    sed -n 's/^      "\(origin\|epoch\|missing\|voxels\|digest\)": *\([^,]*\),\{0,1\}$/\1 \2/p' "$1"
-}
-layers "$dir/1.json" > "$dir/expected"
-for n in $robots; do
-    layers "$dir/$n.json" > "$dir/found"
-    diff "$dir/expected" "$dir/found" || { echo "robots 1 and $n differ"; exit 1; }
-done
-if [ "$(grep -c '^digest' "$dir/expected")" != 5 ]; then
-    echo "not five streams"
-    exit 1
-fi
+equal_layers 5 $robots || exit 1
 bytes_at() { awk -v at="$2" '$1 <= at { bytes = $2 } END { print bytes + 0 }' "$dir/$1"; }
-others=$(($(bytes_at others.txt "$ended") - $(bytes_at others.txt 8)))
+cross=$(($(bytes_at cross.txt "$ended") - $(bytes_at cross.txt 8)))
 all=$(($(bytes_at link.txt "$ended") - $(bytes_at link.txt 8)))
 could=$(((ended - 8) * RATE_KBIT * 125))
-# With headers of 66 bytes for 1,448 the others' bytes are a twentieth more.
-ours=$(((all - others * 21 / 20) * 100 / could)) theirs=$((others * 100 / could))
-echo "five robots hold equal layers after $ended s; of the link ($RATE_KBIT kbit/s, $OTHERS) robots $ours %, others $theirs %"
+# With headers of 66 bytes for 1,448 the cross traffic is a twentieth more.
+ours=$(((all - cross * 21 / 20) * 100 / could)) theirs=$((cross * 100 / could))
+echo "five robots hold equal layers after $ended s; of the link ($RATE_KBIT kbit/s, $CROSS) robots $ours %, cross traffic $theirs %"
 [ "$ours" -ge 25 ] && [ "$theirs" -ge 40 ]

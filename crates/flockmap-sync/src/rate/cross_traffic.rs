@@ -1,15 +1,16 @@
-//! Robots beside traffic of others that knows nothing of them, in one queue for all.
+//! Robots beside cross traffic that knows nothing of them, in one queue for all.
 
 use super::*;
-use std::collections::{BTreeMap, VecDeque};
+use model::Robot;
+use std::collections::VecDeque;
 
 const STEP: i64 = 5_000;
 const BYTES: usize = 600;
 const DELAY: i64 = 20_000;
 
-/// What others send through the same queue.
+/// What else goes through the same queue.
 #[derive(Clone, Copy, PartialEq, Debug)]
-enum Others {
+enum CrossTraffic {
     Nothing,
     /// So many bytes a second, whatever becomes of them.
     Constant(i64),
@@ -22,7 +23,7 @@ enum Others {
 #[derive(Clone, Copy, PartialEq)]
 enum From {
     Robot { from: usize, to: usize },
-    Others(u64),
+    CrossTraffic(u64),
 }
 
 /// A window of packets, of which one arrives after the other or is lost.
@@ -87,56 +88,40 @@ impl Tcp {
     }
 }
 
-struct Robot {
-    rate: Rate,
-    waits: BTreeMap<usize, (QueueingDelay, QueueingDelay, Option<Arrival>)>,
-    newest: BTreeMap<usize, Arrival>,
-    last: BTreeMap<usize, (Stamp, Stamp)>,
-    sent: u64,
-    clock: i64,
-    receiver: usize,
-    /// Datagrams that arrived, and that were lost, since that was said last.
-    outcomes: Vec<(Stamp, bool)>,
-}
-
 struct Link {
     is_broadcast: bool,
     bytes_per_s: i64,
     queue_bytes: i64,
     busy_until: i64,
     in_flight: VecDeque<(From, usize, Stamp, i64)>,
-    others: Others,
+    cross_traffic: CrossTraffic,
     tcp: Tcp,
-    others_sent: i64,
+    cross_sent: i64,
     robots: Vec<Robot>,
+    /// Whom each sends to next, by unicast.
+    receivers: Vec<usize>,
+    /// Own datagrams of each, and whether they were lost, as far as it does not know yet.
+    outcomes: Vec<Vec<(Stamp, bool)>>,
     now: i64,
-    /// Bytes that arrived of the robots, and of others.
+    /// Bytes that arrived of the robots, and of cross traffic.
     ours: u64,
     theirs: u64,
 }
 
 impl Link {
     fn new(robots: usize, is_broadcast: bool, bytes_per_s: i64, queue_bytes: i64) -> Self {
-        let robot = |number: usize| Robot {
-            rate: Rate::new(),
-            waits: BTreeMap::new(),
-            newest: BTreeMap::new(),
-            last: BTreeMap::new(),
-            sent: 0,
-            clock: (number as i64 - 2) * 77_000_000,
-            receiver: number,
-            outcomes: vec![],
-        };
         Self {
             is_broadcast,
             bytes_per_s,
             queue_bytes,
             busy_until: 0,
             in_flight: VecDeque::new(),
-            others: Others::Nothing,
+            cross_traffic: CrossTraffic::Nothing,
             tcp: Tcp::new(),
-            others_sent: 0,
-            robots: (0..robots).map(robot).collect(),
+            cross_sent: 0,
+            robots: (0..robots).map(Robot::new).collect(),
+            receivers: (0..robots).collect(),
+            outcomes: vec![vec![]; robots],
             now: 0,
             ours: 0,
             theirs: 0,
@@ -163,28 +148,28 @@ impl Link {
     }
 
     fn step(&mut self) {
-        match self.others {
-            Others::Nothing => {}
-            Others::Constant(rate) => {
-                self.others_sent += rate * STEP / SECOND;
-                while self.others_sent >= PACKET as i64 {
-                    self.others_sent -= PACKET as i64;
-                    self.enqueue(From::Others(0), PACKET, Stamp(self.now));
+        match self.cross_traffic {
+            CrossTraffic::Nothing => {}
+            CrossTraffic::Constant(rate) => {
+                self.cross_sent += rate * STEP / SECOND;
+                while self.cross_sent >= PACKET as i64 {
+                    self.cross_sent -= PACKET as i64;
+                    self.enqueue(From::CrossTraffic(0), PACKET, Stamp(self.now));
                 }
             }
-            Others::Tcp { .. } => {
+            CrossTraffic::Tcp { .. } => {
                 for _ in 0..self.tcp.poll(self.now) {
                     let number = self.tcp.next;
                     self.tcp.next += 1;
                     self.tcp.out.push((number, self.now));
-                    self.enqueue(From::Others(number), PACKET, Stamp(self.now));
+                    self.enqueue(From::CrossTraffic(number), PACKET, Stamp(self.now));
                 }
             }
         }
         let count = self.robots.len();
         let first = (self.now / STEP) as usize;
         for number in (0..count).map(|k| (k + first) % count) {
-            let now = Stamp(self.now + self.robots[number].clock);
+            let now = self.robots[number].now(self.now);
             while self.robots[number].rate.wait(now, BYTES).is_none()
                 && self.robots[number].rate.wait_for_echo(now, BYTES).is_none()
             {
@@ -200,40 +185,30 @@ impl Link {
                 let bytes = if is_hello { 100 } else { BYTES };
                 robot.rate.spend(now, bytes);
                 robot.sent += bytes as u64;
-                robot.receiver = (robot.receiver + 1) % count;
-                if robot.receiver == number {
-                    robot.receiver = (robot.receiver + 1) % count;
-                }
-                let to = robot.receiver;
-                let is_queued = self.enqueue(From::Robot { from: number, to }, bytes, now);
-                if !is_queued {
-                    self.robots[number].outcomes.push((now, true));
+                let next = (self.receivers[number] + 1) % count;
+                let to = if next == number { (next + 1) % count } else { next };
+                self.receivers[number] = to;
+                if !self.enqueue(From::Robot { from: number, to }, bytes, now) {
+                    self.outcomes[number].push((now, true));
                 }
             }
         }
         while let Some((from, bytes, sent, at)) = self.in_flight.pop_front_if(|(.., at)| *at <= self.now) {
             match from {
-                From::Others(number) => {
+                From::CrossTraffic(number) => {
                     self.theirs += bytes as u64;
-                    if let Others::Tcp { left } = self.others {
+                    if let CrossTraffic::Tcp { left } = self.cross_traffic {
                         self.tcp.acked(self.now, number, left);
                     }
                 }
                 From::Robot { from, to } => {
                     self.ours += bytes as u64;
-                    self.robots[from].outcomes.push((sent, false));
+                    self.outcomes[from].push((sent, false));
                     for to in (0..count).filter(|&k| k != from && (self.is_broadcast || k == to)) {
-                        let is_broadcast = self.is_broadcast;
                         let robot = &mut self.robots[to];
-                        let now = Stamp(self.now + robot.clock);
-                        let (queueing_in, ..) = robot.waits.entry(from).or_default();
-                        let waited = queueing_in.sample(now, now.micros_since(sent));
-                        robot.newest.insert(from, Arrival { sent, arrived: now });
-                        // To the microsecond.
-                        let exact = Stamp(at + robot.clock);
-                        let before = robot.last.insert(from, (sent, exact));
-                        robot.rate.note_heard(exact, Heard { bytes, sent, before, queued: waited });
-                        robot.rate.review(now, count - 1, is_broadcast);
+                        robot.hear((self.now, at), from, sent, bytes);
+                        let now = robot.now(self.now);
+                        robot.rate.review(now, count - 1, self.is_broadcast);
                     }
                 }
             }
@@ -241,17 +216,13 @@ impl Link {
         // Each tells one other what came, in turn.
         if self.now % (SECOND / 5) == 0 {
             let teller = (self.now / (SECOND / 5)) as usize % count;
-            let newest = core::mem::take(&mut self.robots[teller].newest);
-            for (about, arrival) in newest {
+            for (about, arrival) in core::mem::take(&mut self.robots[teller].untold) {
                 let robot = &mut self.robots[about];
-                let now = Stamp(self.now + robot.clock);
-                let (_, queueing_out, before) = robot.waits.entry(teller).or_default();
-                let waited = queueing_out.sample(now, arrival.arrived.micros_since(arrival.sent));
-                let before = before.replace(arrival);
-                robot.rate.note_arrival(now, arrival, before, waited);
+                robot.be_told(self.now, teller, arrival);
+                let now = robot.now(self.now);
                 // That something is lost shows when something later has arrived.
                 let is_known = |(sent, _): &mut (Stamp, bool)| *sent <= arrival.sent;
-                for (sent, is_lost) in robot.outcomes.extract_if(.., is_known).collect::<Vec<_>>() {
+                for (sent, is_lost) in self.outcomes[about].extract_if(.., is_known).collect::<Vec<_>>() {
                     robot.rate.note_outcome(now, sent, is_lost);
                 }
                 robot.rate.review(now, count - 1, self.is_broadcast);
@@ -260,51 +231,50 @@ impl Link {
     }
 }
 
-/// Shares of the link in two minutes, of the robots and of others who begin so many seconds after them.
-fn shares(
+/// Asserts the shares of the link in two minutes: of the robots, and of cross traffic that begins so many seconds after them.
+fn assert_shares(
     robots: usize,
     is_broadcast: bool,
     (bytes_per_s, queue_ms): (i64, i64),
-    others: Others,
+    cross_traffic: CrossTraffic,
     after: i64,
-) -> String {
+) {
     let mut link = Link::new(robots, is_broadcast, bytes_per_s, bytes_per_s * queue_ms / 1_000);
     link.run(after);
-    link.others = others;
+    link.cross_traffic = cross_traffic;
     link.run(120);
     let all = (bytes_per_s * 120) as f64;
     let (ours, theirs) = (link.ours as f64 / all, link.theirs as f64 / all);
     let cast = if is_broadcast { "broadcast" } else { "unicast" };
     let case = format!(
-        "{robots} robots, {cast}, {bytes_per_s} bytes/s, a queue of {queue_ms} ms, {others:?} after {after} s: \
-         robots {ours:.2}, others {theirs:.2} of the link"
+        "{robots} robots, {cast}, {bytes_per_s} bytes/s, a queue of {queue_ms} ms, {cross_traffic:?} after {after} s: \
+         robots {ours:.2}, cross traffic {theirs:.2} of the link"
     );
     println!("{case}");
     assert!(ours >= 0.25 && theirs >= 0.4, "{case}");
-    case
 }
 
 const SWARMS: [(usize, bool); 4] = [(2, false), (5, false), (2, true), (5, true)];
 
 #[test]
-fn others_who_come_later_get_two_fifths_of_the_link_and_leave_a_quarter() {
+fn cross_traffic_that_comes_later_gets_two_fifths_of_the_link_and_leaves_a_quarter() {
     for (robots, is_broadcast) in SWARMS {
         for link in [(6_250, 2_000), (6_250, 2_500), (62_500, 300), (62_500, 2_500)] {
-            let tcp = [Others::Tcp { left: 0.7 }, Others::Tcp { left: 0.5 }];
-            for others in tcp.into_iter().chain([7, 10].map(|tenths| Others::Constant(link.0 * tenths / 10)))
-            {
-                shares(robots, is_broadcast, link, others, 30);
+            let tcp = [0.7, 0.5].map(|left| CrossTraffic::Tcp { left });
+            let constant = [7, 10].map(|tenths| CrossTraffic::Constant(link.0 * tenths / 10));
+            for cross_traffic in tcp.into_iter().chain(constant) {
+                assert_shares(robots, is_broadcast, link, cross_traffic, 30);
             }
         }
     }
 }
 
 #[test]
-fn others_who_were_there_before_get_two_fifths_of_the_link_and_leave_a_quarter() {
+fn cross_traffic_that_was_there_before_gets_two_fifths_of_the_link_and_leaves_a_quarter() {
     for (robots, is_broadcast) in SWARMS {
-        shares(robots, is_broadcast, (62_500, 300), Others::Constant(62_500 * 7 / 10), 0);
-        shares(robots, is_broadcast, (62_500, 2_500), Others::Constant(62_500 / 2), 0);
+        assert_shares(robots, is_broadcast, (62_500, 300), CrossTraffic::Constant(62_500 * 7 / 10), 0);
+        assert_shares(robots, is_broadcast, (62_500, 2_500), CrossTraffic::Constant(62_500 / 2), 0);
     }
-    shares(5, true, (62_500, 2_500), Others::Tcp { left: 0.7 }, 0);
-    shares(2, false, (6_250, 2_500), Others::Tcp { left: 0.7 }, 0);
+    assert_shares(5, true, (62_500, 2_500), CrossTraffic::Tcp { left: 0.7 }, 0);
+    assert_shares(2, false, (6_250, 2_500), CrossTraffic::Tcp { left: 0.7 }, 0);
 }
