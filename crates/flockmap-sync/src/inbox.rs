@@ -348,14 +348,20 @@ impl Inbox {
         true
     }
 
-    /// Lets go of transfers that are done or abandoned. Returns how many of them brought nothing.
-    pub(crate) fn drop_done(&mut self, now: Stamp, store: &Store) -> u64 {
+    /// Lets go of transfers that are done or abandoned: nothing came of them for as long as is said of their source.
+    /// Returns how many of them brought nothing.
+    pub(crate) fn drop_done(
+        &mut self,
+        now: Stamp,
+        store: &Store,
+        patience: impl Fn(RobotId) -> Duration,
+    ) -> u64 {
         let before = self.transfers.len();
         let mut abandoned = 0;
         self.transfers.retain(|transfer| {
             let is_received =
                 store.received(transfer.stream).is_some_and(|received| transfer.is_in(received));
-            let is_abandoned = !is_received && transfer.is_abandoned(now);
+            let is_abandoned = !is_received && transfer.is_abandoned(now, patience(transfer.source));
             abandoned += u64::from(is_abandoned);
             !is_received && !is_abandoned
         });

@@ -6,11 +6,12 @@ pub(crate) use stream::{PEER_INTERVALS_MAX, PeerRequest, PeerStream, Sending, Se
 
 use crate::config::ms;
 use crate::counters::Traffic;
+use crate::inbox::ABANDONED;
 use crate::item::Item;
 use crate::link::{ClockFilter, Loss, RoundTrip};
 use crate::pacer::Pacer;
 use crate::path::PeerPath;
-use crate::rate::{Arrival, QueueingDelay};
+use crate::rate::{Arrival, QueueingDelays};
 use crate::wire::OriginRange;
 use crate::{IntervalSet, SessionConfig};
 use core::time::Duration;
@@ -108,8 +109,7 @@ pub(crate) struct Peer {
     pub(crate) clock: ClockFilter,
     pub(crate) loss: Loss,
     /// Queueing delay of datagrams to it and from it.
-    pub(crate) queueing_out: QueueingDelay,
-    pub(crate) queueing_in: QueueingDelay,
+    pub(crate) queueing: QueueingDelays,
     /// How long its last datagram queued.
     pub(crate) queued_in: Duration,
     pub(crate) arrival: Option<Arrival>,
@@ -154,8 +154,7 @@ impl Peer {
             round_trip: RoundTrip::new(ms(config.round_trip_initial_ms)),
             clock: ClockFilter::default(),
             loss: Loss::default(),
-            queueing_out: QueueingDelay::default(),
-            queueing_in: QueueingDelay::default(),
+            queueing: QueueingDelays::default(),
             queued_in: Duration::ZERO,
             arrival: None,
             pacer: config
@@ -180,6 +179,11 @@ impl Peer {
     /// Not heard for so long it is forgotten.
     pub(crate) fn timeout(&self, config: &SessionConfig) -> Duration {
         ms(config.peer_timeout_ms).max(PAUSES_MISSED * self.next_within.min(NEXT_WITHIN_MAX))
+    }
+
+    /// A snapshot to or from it of which nothing comes for so long is given up.
+    pub(crate) fn transfer_patience(&self) -> Duration {
+        ABANDONED.max(PAUSES_MISSED * self.next_within.min(NEXT_WITHIN_MAX))
     }
 
     /// When it is forgotten if nothing is heard of it until then.

@@ -15,7 +15,7 @@ mod losses;
 mod queueing;
 mod sent_log;
 
-pub(crate) use queueing::QueueingDelay;
+pub(crate) use queueing::{Queued, QueueingDelays};
 
 use crate::pacer::{TokenBucket, burst_bytes};
 use capacity::{Arrived, BYTES_PER_S_MAX, Capacity, FULL_DATAGRAM, SECOND, per_second};
@@ -38,6 +38,10 @@ const UNECHOED_MIN: u64 = 8_000;
 /// Beyond that, so many for each second since the newest that has arrived was sent, so that nothing ends where no peer says
 /// anything, or late.
 const UNHEARD_BYTES_PER_S: u64 = 1_300;
+/// What was sent lately was sent within so long.
+const ECHO_PATIENCE: i64 = 2 * SECOND;
+/// Few bytes are out if these are: some requests.
+const UNECHOED_FEW: u64 = 2_000;
 /// Looked at again after so long.
 const ECHO_PAUSE: Duration = Duration::from_millis(20);
 /// The rate is set anew after so many samples, over so long …
@@ -47,7 +51,7 @@ const WINDOW_MIN: i64 = 500_000;
 /// … or fewer over so long.
 const WINDOW_LONG: i64 = 2_000_000;
 /// Samples that are too few are forgotten after so long.
-const WINDOW_MAX: i64 = 20_000_000;
+const WINDOW_MAX: i64 = 120_000_000;
 /// Share of the radio that the robots keep beside cross traffic, in per cent …
 const SHARE_KEPT: i64 = 41;
 /// … which there may be if a queue stands while they take less than this themselves …
@@ -112,7 +116,7 @@ pub(crate) struct Heard {
     /// Send stamp and time of arrival of the datagram of that robot before it.
     pub(crate) before: Option<(Stamp, Stamp)>,
     /// For how long it queued; `None`: not known.
-    pub(crate) queued: Option<i64>,
+    pub(crate) queued: Option<Queued>,
 }
 
 /// The rate of one robot. Memory: 8 KiB.
@@ -127,6 +131,8 @@ pub(crate) struct Rate {
     /// When a queue stood for the first time. Before that the rate may double.
     began_at: Option<Stamp>,
     queue_stands: bool,
+    /// When a datagram came last that had hardly queued.
+    free_at: Stamp,
     log: SentLog,
     sent_at: Stamp,
     /// Pairs begun on purpose.
@@ -165,6 +171,7 @@ impl Rate {
             went_down_at: Stamp(i64::MIN),
             began_at: None,
             queue_stands: false,
+            free_at: Stamp(i64::MIN),
             log: SentLog::default(),
             sent_at: Stamp(i64::MIN),
             pairs_sent: 0,
@@ -210,6 +217,15 @@ impl Rate {
         self.began_at.is_none()
     }
 
+    /// Whether nothing says that a queue stands: a peer has said of nearly all that was sent that it has arrived, or of
+    /// something that was sent lately, or a datagram came lately that had hardly queued.
+    pub(crate) fn seems_free(&self, now: Stamp) -> bool {
+        let is_recent = |stamp| now.micros_since(stamp) < ECHO_PATIENCE;
+        self.log.bytes - self.echoed <= UNECHOED_FEW
+            || self.echoed_upto.is_none_or(is_recent)
+            || is_recent(self.free_at)
+    }
+
     pub(crate) const fn bytes_per_s(&self) -> u32 {
         self.bytes_per_s
     }
@@ -238,16 +254,19 @@ impl Rate {
     /// A datagram of another robot was heard.
     pub(crate) fn note_heard(&mut self, now: Stamp, heard: Heard) {
         self.heard += heard.bytes as u64;
+        if heard.queued.is_some_and(|queued| queued.all < 2 * TARGET) {
+            self.free_at = now;
+        }
         if let (Some(queued), Some((sent, arrived))) = (heard.queued, heard.before)
-            && queued > TARGET
+            && queued.all > TARGET
             && (0..AT_ONCE).contains(&heard.sent.micros_since(sent))
         {
             self.capacity.note_pair(heard.bytes, now.micros_since(arrived));
         }
         let (stood_at, window) = (self.stood_at, self.window(now));
         window.heard += heard.bytes as u64;
-        if let Some(queued) = heard.queued.filter(|&queued| now.plus_micros(-queued) >= stood_at) {
-            window.others = (window.others.0 + 1, window.others.1.min(queued));
+        if let Some(queued) = heard.queued.filter(|queued| now.plus_micros(-queued.beyond_base) >= stood_at) {
+            window.others = (window.others.0 + 1, window.others.1.min(queued.all));
         }
     }
 
@@ -265,7 +284,7 @@ impl Rate {
         now: Stamp,
         arrival: Arrival,
         before: Option<Arrival>,
-        queued: Option<i64>,
+        queued: Option<Queued>,
     ) {
         if let Some(echoed) = self.log.upto(arrival.sent).filter(|echoed| *echoed > self.echoed) {
             self.window_bytes = (self.window_bytes + echoed - self.echoed).min(1 << 30);
@@ -280,7 +299,7 @@ impl Rate {
             self.delivery_rate = Some(rate.min(BYTES_PER_S_MAX.into()) as u32);
         }
         if let Some(queued) = queued.filter(|_| self.began_at.is_some_and(|began| arrival.sent >= began)) {
-            let own_at = arrival.sent.plus_micros(queued);
+            let own_at = arrival.sent.plus_micros(queued.beyond_base);
             let arrived =
                 Arrived { sent: arrival.sent, own: self.echoed, own_at, heard: self.heard, heard_at: now };
             self.capacity.note_arrived(now, arrived, self.heard_of);
@@ -289,7 +308,7 @@ impl Rate {
             let is_new = arrival.sent > self.newest_own;
             self.newest_own = self.newest_own.max(arrival.sent);
             let window = self.window(now);
-            window.own = (window.own.0 + u32::from(is_new), window.own.1.min(queued));
+            window.own = (window.own.0 + u32::from(is_new), window.own.1.min(queued.all));
         }
     }
 

@@ -33,6 +33,8 @@ pub(crate) struct Schedule {
     pub(crate) blocked_until: Option<Stamp>,
     /// As `budget_pause`, after the last short one.
     pub(crate) short_pause: Duration,
+    /// Bytes and copies of the last request, if the radio may have been full then, so that longer pauses follow.
+    pub(crate) paused_as_full: Option<(usize, usize)>,
     /// When the last whole one went out.
     pub(crate) last_whole: Stamp,
     pub(crate) last_activity: Stamp,
@@ -71,6 +73,7 @@ impl Schedule {
             last: never,
             budget_pause: Duration::ZERO,
             short_pause: Duration::ZERO,
+            paused_as_full: None,
             blocked_until: None,
             last_whole: never,
             last_activity: never,

@@ -3,17 +3,21 @@
 
 use super::preset::BUDGET_MIN;
 use super::purpose;
+use super::truth::{Published, Truth};
 use crate::{IP_UDP_BYTES, RadioConfig};
-use flockmap::{Cast, RobotId, SessionConfig};
+use flockmap::sync::IntervalSet;
+use flockmap::{Cast, Robot, RobotId, SessionConfig};
 use flockmap_worlds::random::Random;
 use std::collections::BTreeSet;
 
 /// Bytes of a datagram of cross traffic.
 const CROSS_TRAFFIC_BYTES: usize = 1_400;
-/// Least share of a robot, for each copy that it sends.
-const SHARE_MIN: u32 = 100;
 /// Share of what the radio carries for the robots that new bytes are to take, in per cent.
 const NEW_MIN: u64 = 60;
+/// Much is missing if the radio needs so many seconds for it.
+const MUCH: u64 = 5;
+/// Bytes of a datagram beside its package.
+const HEADER_BYTES: u64 = 57;
 
 /// What is drawn.
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -54,11 +58,10 @@ impl Crowd {
         (session.radio_bytes_per_s, session.link_bytes_per_s) = (self.budget_bytes_per_s, None);
     }
 
-    /// Whether each robot's share is what a session is known to do with: by unicast its requests go to each of the others.
-    pub(super) fn is_enough(&self, robots: usize, cast: Cast) -> bool {
-        let copies = if cast == Cast::Unicast { robots as u32 - 1 } else { 1 };
-        let share = self.for_robots() / robots as u32;
-        self.budget_bytes_per_s.unwrap_or(share).min(share) >= SHARE_MIN * copies
+    /// Bytes a second that so many robots may send, and it carries for them.
+    pub(super) fn can_send(&self, robots: usize) -> u32 {
+        let budgets = self.budget_bytes_per_s.map(|budget| budget.saturating_mul(robots as u32));
+        self.for_robots().min(budgets.unwrap_or(u32::MAX))
     }
 
     /// Bytes a second that it carries for the robots.
@@ -84,31 +87,62 @@ impl Crowd {
     }
 }
 
-/// How much of what the radio carries brings something new, while anything is missing.
+/// How much of what the radio carries brings something new, while anything is missing, and while much is.
 #[derive(Clone, Debug, Default)]
 pub(super) struct NewBytes {
     /// Datagrams that brought something, by sender, receiver if there is one, and check.
     counted: BTreeSet<(RobotId, Option<RobotId>, u32)>,
-    new: u64,
-    /// What could have gone out meanwhile.
-    could: u64,
+    is_much_missing: bool,
+    pub(super) all: Share,
+    pub(super) while_much: Share,
+}
+
+/// Bytes of datagrams that brought something new, and bytes that could have gone out meanwhile.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Share {
+    pub(super) new: u64,
+    pub(super) could: u64,
+}
+
+impl Share {
+    /// Whether it is as much as is asked for.
+    pub(super) fn is_enough(&self) -> bool {
+        100 * self.new >= NEW_MIN * self.could
+    }
 }
 
 impl NewBytes {
     /// A datagram brought something new to somebody.
     pub(super) fn brought(&mut self, from: RobotId, to: Option<RobotId>, bytes: &[u8]) {
         if self.counted.insert((from, to, crc32fast::hash(bytes))) {
-            self.new += (bytes.len() + IP_UDP_BYTES) as u64;
+            let bytes = (bytes.len() + IP_UDP_BYTES) as u64;
+            self.all.new += bytes;
+            self.while_much.new += if self.is_much_missing { bytes } else { 0 };
         }
     }
 
-    /// Something was missing for so many microseconds.
-    pub(super) fn missed(&mut self, micros: i64, bytes_per_s: u32) {
-        self.could += micros.max(0) as u64 * u64::from(bytes_per_s) / 1_000_000;
+    /// So many bytes were missing for so many microseconds.
+    pub(super) fn missed(&mut self, missing: u64, micros: i64, bytes_per_s: u32) {
+        let could = micros.max(0) as u64 * u64::from(bytes_per_s) / 1_000_000;
+        self.is_much_missing = missing >= MUCH * u64::from(bytes_per_s);
+        self.all.could += could;
+        self.while_much.could += if self.is_much_missing { could } else { 0 };
     }
+}
 
-    /// New bytes, what could have gone out, and whether they are 60 % of it.
-    pub(super) fn sum(&self) -> (u64, u64, bool) {
-        (self.new, self.could, 100 * self.new >= NEW_MIN * self.could)
-    }
+/// About the bytes that would have to go out so that each robot had all packages of those who fly.
+pub(super) fn missing_bytes(truth: &Truth, robots: &[&Robot], cast: Cast) -> u64 {
+    let nothing = IntervalSet::new(0);
+    let flies = |stream| robots.iter().any(|robot| robot.own_stream() == stream);
+    let of_stream = |(stream, published): (_, &Published)| {
+        let last = truth.last(stream);
+        let missing = robots.iter().map(|robot| {
+            let received = robot.session().received(stream).unwrap_or(&nothing);
+            received.missing(1, last).map(|(low, high)| u64::from(high - low + 1)).sum::<u64>()
+        });
+        // By broadcast what goes out once is for all.
+        let packages = if cast == Cast::Unicast { missing.sum() } else { missing.max().unwrap_or(0) };
+        packages * (published.bytes / u64::from(last.max(1)) + HEADER_BYTES)
+    };
+    truth.streams().filter(|(stream, _)| flies(*stream)).map(of_stream).sum()
 }

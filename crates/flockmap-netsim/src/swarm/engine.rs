@@ -6,7 +6,7 @@ mod look;
 use super::check::{Finding, names};
 use super::clock::Clock;
 use super::costly::Costly;
-use super::crowd::NewBytes;
+use super::crowd::{NewBytes, Share};
 use super::member::{Member, NEVER};
 use super::outsider;
 use super::plan::Action;
@@ -298,11 +298,19 @@ impl Engine {
 
     fn report(mut self) -> Report {
         let mut seen = core::mem::take(&mut self.eyes.seen);
-        if let Some((new, could, is_enough)) = self.eyes.new_bytes.as_ref().map(NewBytes::sum) {
+        if let Some(NewBytes { all, while_much, .. }) = self.eyes.new_bytes {
+            let is_flight = |share: Share| u64::from(share.could > 0);
             for (name, count) in [
-                ("crowded: bytes that could go out", could),
-                ("crowded: new bytes", new),
-                ("crowded: new bytes took 60 %", is_enough.into()),
+                ("crowded: bytes that could go out", all.could),
+                ("crowded: new bytes", all.new),
+                ("crowded: new bytes took 60 %", all.is_enough().into()),
+                ("crowded: bytes that could go out while much was missing", while_much.could),
+                ("crowded: new bytes while much was missing", while_much.new),
+                ("crowded: much was missing", is_flight(while_much)),
+                (
+                    "crowded: much was missing, and new bytes took 60 %",
+                    is_flight(while_much) * u64::from(while_much.is_enough()),
+                ),
             ] {
                 *seen.entry(name).or_default() += count;
             }

@@ -8,7 +8,7 @@ use super::trouble::{self, Trouble};
 use super::{SwarmOptions, session};
 use crate::{Burst, IP_UDP_BYTES, Link, RadioConfig};
 use flockmap::sync::SwarmKey;
-use flockmap::{BatchConfig, Cast, Codec, FusionConfig, Resolution, RobotConfig, RobotId, SessionConfig};
+use flockmap::{BatchConfig, Cast, Codec, FusionConfig, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::random::Random;
 
 /// Side of a voxel in metres: coarse, so that a flight costs little.
@@ -97,9 +97,8 @@ impl Settings {
         let mut field = Random::new(seed, purpose::FIELD);
         plan::add_field_day(&mut plan, &mut field, robots, mapping, trouble.restarts);
         // The paper's own session does not find out what a radio carries.
-        let finds = |session: &SessionConfig| session.congestion_control;
-        trouble.crowd =
-            trouble.crowd.filter(|crowd| sessions.iter().all(finds) && crowd.is_enough(robots, cast));
+        let finds = sessions.iter().all(|session| session.congestion_control);
+        trouble.crowd = trouble.crowd.filter(|_| finds);
         notes.extend(trouble.notes());
         if trouble.has_small_limits {
             for (number, session) in sessions.iter_mut().enumerate() {

@@ -6,7 +6,7 @@ use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 
-/// Silence after which a transfer is dropped.
+/// Silence after which a transfer is dropped, where robots are heard as often as usual.
 pub(crate) const ABANDONED: Duration = Duration::from_secs(30);
 
 /// A snapshot that is being received.
@@ -93,7 +93,7 @@ impl Transfer {
     }
 
     /// Nothing has come of it for long. A complete one waits longer, for the packages before it.
-    pub(crate) fn is_abandoned(&self, now: Stamp) -> bool {
-        now.since(self.touched) > if self.is_complete() { 10 * ABANDONED } else { ABANDONED }
+    pub(crate) fn is_abandoned(&self, now: Stamp, patience: Duration) -> bool {
+        now.since(self.touched) > if self.is_complete() { 10 * patience } else { patience }
     }
 }

@@ -1,9 +1,9 @@
 //! What a peer holds of one stream, as far as it is known, and what of it is in flight there.
 
 use crate::IntervalSet;
-use crate::inbox::ABANDONED;
 use crate::item::Item;
 use crate::wire::RestRequest;
+use core::time::Duration;
 use flockmap_grid::Stamp;
 
 /// Intervals kept of what a peer states to hold of one stream; of more, the newest.
@@ -159,8 +159,8 @@ impl Sending {
     }
 
     /// A peer that does not speak of the snapshot for long has forgotten it, or has not heard of it yet.
-    pub(crate) fn note_silence(&mut self, now: Stamp) {
-        if now.since(self.named_at) > ABANDONED {
+    pub(crate) fn note_silence(&mut self, now: Stamp, patience: Duration) {
+        if now.since(self.named_at) > patience {
             self.named_at = now;
             self.unheeded = UNHEEDED_MAX;
             self.accepted = IntervalSet::new(PEER_INTERVALS_MAX);

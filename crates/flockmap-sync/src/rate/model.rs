@@ -1,6 +1,6 @@
 //! A robot of the tests: its rate, and what goes by with it, on a clock of its own.
 
-use super::{Arrival, Heard, QueueingDelay, Rate};
+use super::{Arrival, Heard, QueueingDelays, Rate};
 use flockmap_grid::Stamp;
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ pub(super) struct Robot {
     pub(super) sent: u64,
     pub(super) clock: i64,
     /// From and to each other robot, and what that said last.
-    queueing: BTreeMap<usize, (QueueingDelay, QueueingDelay, Option<Arrival>)>,
+    queueing: BTreeMap<usize, (QueueingDelays, Option<Arrival>)>,
     /// Of each other robot the last datagram: when it was sent, and when it came, to the microsecond.
     last: BTreeMap<usize, (Stamp, Stamp)>,
     /// What it has not told yet of each other robot.
@@ -35,8 +35,8 @@ impl Robot {
     /// A datagram came at a time, and is taken in now.
     pub(super) fn hear(&mut self, (now, at): (i64, i64), from: usize, sent: Stamp, bytes: usize) {
         let (now, at) = (self.now(now), self.now(at));
-        let (queueing_in, ..) = self.queueing.entry(from).or_default();
-        let queued = queueing_in.sample(now, now.micros_since(sent));
+        let (queueing, _) = self.queueing.entry(from).or_default();
+        let queued = queueing.sample_from(now, now.micros_since(sent));
         self.untold.insert(from, Arrival { sent, arrived: now });
         let before = self.last.insert(from, (sent, at));
         self.rate.note_heard(at, Heard { bytes, sent, before, queued });
@@ -45,8 +45,8 @@ impl Robot {
     /// Another robot tells which of its datagrams came last, and when.
     pub(super) fn be_told(&mut self, now: i64, by: usize, arrival: Arrival) {
         let now = self.now(now);
-        let (_, queueing_out, before) = self.queueing.entry(by).or_default();
-        let queued = queueing_out.sample(now, arrival.arrived.micros_since(arrival.sent));
+        let (queueing, before) = self.queueing.entry(by).or_default();
+        let queued = queueing.sample_to(now, arrival.arrived.micros_since(arrival.sent));
         self.rate.note_arrival(now, arrival, before.replace(arrival), queued);
     }
 }

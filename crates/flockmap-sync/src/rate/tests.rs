@@ -142,11 +142,12 @@ fn a_rate_goes_up_again_when_others_fall_silent() {
 fn stamps_that_make_no_sense_do_no_harm() {
     let ends = [Stamp(i64::MIN), Stamp(-1), Stamp(0), Stamp(1), Stamp(i64::MAX)];
     let mut rate = Rate::new();
-    let (mut waiting, mut before) = (QueueingDelay::default(), None);
+    let (mut waiting, mut before) = (QueueingDelays::default(), None);
     for now in ends {
         for sent in ends {
             for arrived in ends {
-                let waited = waiting.sample(now, arrived.micros_since(sent));
+                waiting.sample_from(now, sent.micros_since(arrived));
+                let waited = waiting.sample_to(now, arrived.micros_since(sent));
                 let arrival = Arrival { sent, arrived };
                 let before_it = Some((sent, arrived));
                 rate.note_heard(now, Heard { bytes: 1_228, sent: now, before: before_it, queued: waited });
@@ -211,4 +212,28 @@ fn the_log_of_what_was_sent_reaches_back_for_hours_in_little_memory() {
         let exact = (now - age) / LOG_GRAIN * 10 + 10;
         assert!((exact - off..=exact).contains(&bytes), "{age}: {bytes} of {exact}");
     }
+}
+
+#[test]
+fn a_radio_seems_full_where_nothing_sent_lately_is_known_to_have_arrived() {
+    let seconds = |s: i64| Stamp(s * SECOND);
+    let mut rate = Rate::new();
+    rate.spend(seconds(0), 1_000);
+    assert!(rate.seems_free(seconds(9)), "some requests without an echo");
+    rate.spend(seconds(9), 3_000);
+    assert!(!rate.seems_free(seconds(9)));
+    rate.note_arrival(seconds(10), arrival(8_500_000, 8_700_000), None, None);
+    assert!(rate.seems_free(seconds(10)), "something was sent 1.5 s ago, and has arrived");
+    assert!(!rate.seems_free(seconds(11)));
+    let heard = |all| Heard {
+        bytes: 100,
+        sent: seconds(0),
+        before: None,
+        queued: Some(Queued { beyond_base: 0, all }),
+    };
+    rate.note_heard(seconds(11), heard(3 * SECOND));
+    assert!(!rate.seems_free(seconds(11)));
+    rate.note_heard(seconds(12), heard(50_000));
+    assert!(rate.seems_free(seconds(12)), "a datagram hardly queued");
+    assert!(!rate.seems_free(seconds(15)));
 }

@@ -116,7 +116,7 @@ impl Session {
             peer.round_trip.sample(round_trip);
         }
         let arrival = Arrival { sent, arrived: header.stamp.plus_micros(-i64::from(echo.age_micros)) };
-        let queued = peer.queueing_out.sample(now, arrival.arrived.micros_since(sent));
+        let queued = peer.queueing.sample_to(now, arrival.arrived.micros_since(sent));
         let before = peer.arrival.replace(arrival);
         if let Some(rate) = &mut self.outbox.rate {
             rate.note_arrival(now, arrival, before, queued);

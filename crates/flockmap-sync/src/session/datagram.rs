@@ -45,6 +45,7 @@ impl Session {
         if self.outbox.rate.as_mut().is_some_and(|rate| rate.review(now, peers, is_heard_by_all)) {
             (self.outbox.blocked_until, self.schedule.blocked_until) = (None, None);
         }
+        self.end_pause_as_full(now);
         if let Err(error) = &result {
             let counter = match error {
                 DatagramError::Length { .. } | DatagramError::Magic { .. } | DatagramError::Check { .. } => {
@@ -188,8 +189,8 @@ impl Session {
         let newest_counts = self.stamp_counts(now.since(newest_at));
         if let Some(peer) = self.peers.get_mut(&id) {
             peer.note_heard(now);
-            let queued = peer.queueing_in.sample(now, now.micros_since(header.stamp));
-            peer.queued_in = Duration::from_micros(queued.unwrap_or(0).max(0) as u64);
+            let queued = peer.queueing.sample_from(now, now.micros_since(header.stamp));
+            peer.queued_in = Duration::from_micros(queued.map_or(0, |queued| queued.all.max(0)) as u64);
             if let Some(rate) = &mut self.outbox.rate {
                 let before = Some((peer.newest_stamp, peer.newest_stamp_at));
                 rate.note_heard(now, Heard { bytes: bytes + overhead, sent: header.stamp, before, queued });

@@ -93,7 +93,7 @@ impl Session {
         let request = Request {
             is_short: true,
             no_new_streams: self.store.is_full(),
-            next_within_ms: self.next_within_ms(),
+            next_within_ms: self.next_within_ms(now),
             epochs_low: true,
             received,
             ..Request::default()
@@ -107,7 +107,7 @@ impl Session {
             return None;
         }
         self.schedule.unprobed = 0;
-        self.schedule.probe_from = now.plus(self.budget_pause(each, copies as usize, true));
+        self.schedule.probe_from = now.plus(self.budget_pause(now, each, copies as usize, true));
         self.report.counters.requests_out.add(copies, each);
         self.report.counters.probes += 1;
         Some(Transmit { to, path: None, bytes })

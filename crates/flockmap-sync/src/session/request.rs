@@ -45,11 +45,12 @@ impl Session {
             return None;
         }
         if is_short || is_small {
-            self.schedule.short_pause = self.budget_pause(each, copies as usize, true);
+            self.schedule.short_pause = self.budget_pause(now, each, copies as usize, true);
         }
         if !is_short {
-            self.schedule.budget_pause = self.budget_pause(each, copies as usize, false);
+            self.schedule.budget_pause = self.budget_pause(now, each, copies as usize, false);
         }
+        self.schedule.paused_as_full = self.may_be_full(now).then_some((each, copies as usize));
         self.report.counters.requests_out.add(copies, each);
         if let Destination::Peer(id) = to
             && let Some(peer) = self.peers.get_mut(&id)
@@ -118,8 +119,10 @@ impl Session {
     }
 
     /// Milliseconds within which this robot will be heard again, where a thin radio makes that long.
-    pub(super) fn next_within_ms(&self) -> u32 {
-        let pause = self.budget_pause(self.request_bytes_max(1) + self.overhead(Kind::Request), 1, false);
+    pub(super) fn next_within_ms(&self, now: Stamp) -> u32 {
+        let copies = self.copies(Destination::Everyone) as usize;
+        let longest = self.request_bytes_max(copies) + self.overhead(Kind::Request);
+        let pause = self.budget_pause(now, longest, copies, false);
         let ms = u32::try_from(pause.as_millis()).unwrap_or(u32::MAX);
         if ms > self.config.request_period_idle_ms { ms.saturating_add(ms / 4) } else { 0 }
     }
@@ -169,7 +172,7 @@ impl Session {
             all_echoes: true,
             no_new_streams: self.store.is_full(),
             is_short: false,
-            next_within_ms: self.next_within_ms(),
+            next_within_ms: self.next_within_ms(now),
             echoes,
             received,
             epochs_low: self.epochs_low(),

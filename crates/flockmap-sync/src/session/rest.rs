@@ -6,7 +6,7 @@
 
 use super::Session;
 use crate::event::Event;
-use crate::inbox::{ABANDONED, Transfer};
+use crate::inbox::Transfer;
 use crate::lacks::{Lack, Rest, note};
 use crate::outbox::Outgoing;
 use crate::peer::{Peer, brings_rest};
@@ -194,7 +194,7 @@ impl Session {
             let (mut asked, mut given_up) = (lack.asked, None);
             if let Some((robot, since)) = asked {
                 let since = comes_since(robot).map_or(since, |touched| touched.max(since));
-                let is_late = now.since(since) > ABANDONED;
+                let is_late = now.since(since) > self.transfer_patience(robot);
                 if is_late || !self.peers.contains_key(&robot) || !self.lacks.has_room {
                     given_up = Some(robot).filter(|_| is_late);
                     asked = None;
@@ -247,6 +247,7 @@ impl Session {
     /// Decides whether a peer that asked for it is given the rest of a stream. `is_relay`: it is given what it lacks
     /// unasked as well.
     pub(super) fn review_rest(&mut self, now: Stamp, id: RobotId, stream: Stream, is_relay: bool) {
+        let patience = self.transfer_patience(id);
         let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else { return };
         let Some(wanted) = theirs.rest_wanted else {
             if !is_relay {
@@ -257,7 +258,7 @@ impl Session {
         if let Some(sending) = &mut theirs.sending {
             // What it lacks beside the rest comes first.
             if is_relay || sending.brings_rest(&wanted) {
-                sending.note_silence(now);
+                sending.note_silence(now, patience);
                 return;
             }
             theirs.sending = None;

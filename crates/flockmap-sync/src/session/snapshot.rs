@@ -162,6 +162,7 @@ impl Session {
 
     /// Whether a state of a history with gaps is in flight to a peer that still lacks some of it.
     fn goes_on_with_parts(&mut self, now: Stamp, id: RobotId, stream: Stream) -> bool {
+        let patience = self.transfer_patience(id);
         let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else {
             return false;
         };
@@ -172,7 +173,7 @@ impl Session {
         let goes_on =
             !contents.difference(&theirs.received).is_empty() || wanted.is_some_and(|w| !w.is_empty());
         if goes_on {
-            sending.note_silence(now);
+            sending.note_silence(now, patience);
         } else {
             theirs.sending = None;
         }
@@ -270,7 +271,7 @@ impl Session {
         if prefix == 0 {
             return;
         }
-        let can_give = self.can_give(stream, prefix);
+        let (can_give, patience) = (self.can_give(stream, prefix), self.transfer_patience(id));
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(theirs) = peer.theirs(stream, now) else { return };
         // What of a request lies beyond what is held here is somebody else's to fulfil.
@@ -293,7 +294,7 @@ impl Session {
             // Of what lies above it the next one may be short.
             let is_sound = sending.since <= since_max;
             if is_sound && (is_wanted || !theirs.received.contains_range(1, sending.upto)) {
-                sending.note_silence(now);
+                sending.note_silence(now, patience);
                 return;
             }
             theirs.sending = None;

@@ -5,6 +5,7 @@ use crate::Cast;
 use crate::config::ms;
 use crate::event::Destination;
 use crate::peer::{Peer, SMALL_SWARM};
+use crate::rate::Rate;
 use crate::schedule::Schedule;
 use crate::timers::Timer;
 use core::time::Duration;
@@ -46,9 +47,11 @@ const WHOLE_SHARE: u64 = 12;
 /// As long as one comes within this time whole ones take less: one part in so many.
 const RARE_WHOLE_SHARE: u64 = 24;
 const RARE_WHOLE_MAX: Duration = Duration::from_secs(5);
-/// As long as nobody knows what the radio carries, whole requests of all robots together keep to their share of so many
-/// bytes a second.
-const STARTING_BYTES_PER_S: usize = 100_000;
+/// As long as nobody knows what the radio carries, requests of all robots together keep to their share of so many bytes a
+/// second …
+const STARTING_BYTES_PER_S: u32 = 100_000;
+/// … and of so many where it may be full: requests alone would fill a thin radio.
+const FULL_BYTES_PER_S: u32 = 3_000;
 
 impl Session {
     /// Packages flow: the next periodic request is due sooner.
@@ -224,7 +227,7 @@ impl Session {
     }
 
     /// Pause after a request of so many bytes, so that requests take no more than their share of the budget.
-    pub(super) fn budget_pause(&self, each: usize, copies: usize, is_short: bool) -> Duration {
+    pub(super) fn budget_pause(&self, now: Stamp, each: usize, copies: usize, is_short: bool) -> Duration {
         let pause = |bytes: usize, rate: Option<u32>| {
             let of_share = |share: u64| {
                 Duration::from_micros(
@@ -236,15 +239,41 @@ impl Session {
                 false => of_share(WHOLE_SHARE).max(of_share(RARE_WHOLE_SHARE).min(RARE_WHOLE_MAX)),
             }
         };
-        let radio = if is_short { self.radio_bytes_per_s() } else { self.request_bytes_per_s() };
-        pause(each * copies, radio).max(pause(each, self.config.link_bytes_per_s)).min(BUDGET_PAUSE_MAX)
+        let copied = each * copies;
+        let starting = |of_all: u32| pause(copied, self.starting_bytes_per_s(of_all));
+        let radio = pause(copied, self.radio_bytes_per_s()).max(starting(STARTING_BYTES_PER_S));
+        // Not more rarely than where nothing flows, so that nobody takes this robot for silent.
+        let idle = ms(self.config.request_period_idle_ms);
+        let full = if self.may_be_full(now) { starting(FULL_BYTES_PER_S).min(idle) } else { Duration::ZERO };
+        radio.max(full).max(pause(each, self.config.link_bytes_per_s)).min(BUDGET_PAUSE_MAX)
+    }
+
+    /// Whether nothing is known of the radio, and it may be full.
+    pub(super) fn may_be_full(&self, now: Stamp) -> bool {
+        self.outbox.rate.as_ref().is_some_and(|rate| rate.in_slow_start() && !rate.seems_free(now))
+    }
+
+    /// The radio is not full: what is missing may be asked for sooner.
+    pub(super) fn end_pause_as_full(&mut self, now: Stamp) {
+        let pause = self.schedule.paused_as_full.filter(|_| !self.may_be_full(now));
+        if let Some((each, copies)) = pause {
+            let pause = |is_short| self.budget_pause(now, each, copies, is_short);
+            let (short, whole) = (pause(true), pause(false));
+            self.schedule.short_pause = self.schedule.short_pause.min(short);
+            self.schedule.budget_pause = self.schedule.budget_pause.min(whole);
+            self.schedule.paused_as_full = None;
+        }
     }
 
     /// The rate of which whole requests take their share.
     pub(super) fn request_bytes_per_s(&self) -> Option<u32> {
-        let starting = (STARTING_BYTES_PER_S / (self.peers.len() + 1)) as u32;
-        let starting = self.outbox.rate.as_ref().filter(|rate| rate.in_slow_start()).map(|_| starting);
-        self.radio_bytes_per_s().into_iter().chain(starting).min()
+        self.radio_bytes_per_s().into_iter().chain(self.starting_bytes_per_s(STARTING_BYTES_PER_S)).min()
+    }
+
+    /// This robot's share as long as nobody knows what the radio carries.
+    fn starting_bytes_per_s(&self, of_all: u32) -> Option<u32> {
+        let is_starting = self.outbox.rate.as_ref().is_some_and(Rate::in_slow_start);
+        is_starting.then(|| of_all / (self.peers.len() as u32 + 1))
     }
 
     pub(super) fn schedule_next(&mut self, now: Stamp, for_gap: bool, is_short: bool, to: Destination) {

@@ -4,8 +4,10 @@ use super::Session;
 use super::rest::Complete;
 use crate::IntervalSet;
 use crate::event::Event;
-use crate::inbox::Transfer;
+use crate::inbox::{ABANDONED, Transfer};
 use crate::item::Item;
+use crate::peer::Peer;
+use core::time::Duration;
 use flockmap_codec::Package;
 use flockmap_grid::{RobotId, Stamp, Stream};
 
@@ -152,9 +154,15 @@ impl Session {
                 self.report.counters.too_fragmented += 1;
             }
         }
-        let Self { inbox, store, .. } = self;
+        let Self { inbox, store, peers, .. } = self;
+        let patience = |source| peers.get(&source).map_or(ABANDONED, Peer::transfer_patience);
         inbox.transfers.iter_mut().for_each(|transfer| transfer.is_rest &= !transfer.is_complete());
-        self.report.counters.transfers_dropped += inbox.drop_done(now, store);
+        self.report.counters.transfers_dropped += inbox.drop_done(now, store, patience);
+    }
+
+    /// A snapshot from or to a robot of which nothing comes for so long is given up.
+    pub(super) fn transfer_patience(&self, robot: RobotId) -> Duration {
+        self.peers.get(&robot).map_or(ABANDONED, Peer::transfer_patience)
     }
 
     /// What was read is let go of of snapshots with no packages beyond these; those that bring the rest of a stream

@@ -2,6 +2,7 @@
 
 use super::{Engine, LOOK_EVERY, LOOK_WHOLE_EVERY, Phase, QUIET_PERIODS, pairs};
 use crate::swarm::check::{self, Finding, names};
+use crate::swarm::crowd::missing_bytes;
 use crate::swarm::member::NEVER;
 use crate::swarm::preset::Topology;
 use crate::{Link, Node};
@@ -54,7 +55,9 @@ impl Engine {
         if matches!(self.phase, Phase::Healing { .. })
             && check::disagreement(&self.eyes.truth, &self.robots(), &self.forgotten()).is_some()
         {
-            self.eyes.new_bytes.iter_mut().for_each(|new| new.missed(LOOK_EVERY, crowd.for_robots()));
+            let missing = missing_bytes(&self.eyes.truth, &self.robots(), self.eyes.settings.cast);
+            let can_send = crowd.can_send(self.network.nodes().len());
+            self.eyes.new_bytes.iter_mut().for_each(|new| new.missed(missing, LOOK_EVERY, can_send));
         }
     }
 
