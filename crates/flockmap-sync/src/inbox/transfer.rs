@@ -94,6 +94,6 @@ impl Transfer {
 
     /// Nothing has come of it for long. A complete one waits longer, for the packages before it.
     pub(crate) fn is_abandoned(&self, now: Stamp, patience: Duration) -> bool {
-        now.since(self.touched) > if self.is_complete() { 10 * patience } else { patience }
+        now.since(self.touched) > if self.is_complete() { patience.max(10 * ABANDONED) } else { patience }
     }
 }
