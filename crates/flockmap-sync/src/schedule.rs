@@ -33,8 +33,10 @@ pub(crate) struct Schedule {
     pub(crate) blocked_until: Option<Stamp>,
     /// As `budget_pause`, after the last short one.
     pub(crate) short_pause: Duration,
-    /// Bytes and copies of the last request, if the radio may have been full then, so that longer pauses follow.
-    pub(crate) paused_as_full: Option<(usize, usize)>,
+    /// Bytes of the last request, and how many copies of it went out: the pauses after it.
+    pub(crate) last_bytes: (usize, usize),
+    /// These are longer, since the radio may have been full then.
+    pub(crate) is_paused_as_full: bool,
     /// When the last whole one went out.
     pub(crate) last_whole: Stamp,
     pub(crate) last_activity: Stamp,
@@ -73,7 +75,8 @@ impl Schedule {
             last: never,
             budget_pause: Duration::ZERO,
             short_pause: Duration::ZERO,
-            paused_as_full: None,
+            last_bytes: (0, 0),
+            is_paused_as_full: false,
             blocked_until: None,
             last_whole: never,
             last_activity: never,

@@ -44,8 +44,10 @@ impl Session {
         let (peers, is_heard_by_all) = (self.peers.len(), self.config.cast == Cast::Broadcast);
         if self.outbox.rate.as_mut().is_some_and(|rate| rate.review(now, peers, is_heard_by_all)) {
             (self.outbox.blocked_until, self.schedule.blocked_until) = (None, None);
+            self.shorten_pauses(now);
+        } else if self.schedule.is_paused_as_full && !self.may_be_full(now) {
+            self.shorten_pauses(now);
         }
-        self.end_pause_as_full(now);
         if let Err(error) = &result {
             let counter = match error {
                 DatagramError::Length { .. } | DatagramError::Magic { .. } | DatagramError::Check { .. } => {

@@ -50,7 +50,8 @@ impl Session {
         if !is_short {
             self.schedule.budget_pause = self.budget_pause(now, each, copies as usize, false);
         }
-        self.schedule.paused_as_full = self.may_be_full(now).then_some((each, copies as usize));
+        self.schedule.last_bytes = (each, copies as usize);
+        self.schedule.is_paused_as_full = self.may_be_full(now);
         self.report.counters.requests_out.add(copies, each);
         if let Destination::Peer(id) = to
             && let Some(peer) = self.peers.get_mut(&id)

@@ -253,15 +253,17 @@ impl Session {
         self.outbox.rate.as_ref().is_some_and(|rate| rate.in_slow_start() && !rate.seems_free(now))
     }
 
-    /// The radio is not full: what is missing may be asked for sooner.
-    pub(super) fn end_pause_as_full(&mut self, now: Stamp) {
-        let pause = self.schedule.paused_as_full.filter(|_| !self.may_be_full(now));
-        if let Some((each, copies)) = pause {
-            let pause = |is_short| self.budget_pause(now, each, copies, is_short);
-            let (short, whole) = (pause(true), pause(false));
-            self.schedule.short_pause = self.schedule.short_pause.min(short);
-            self.schedule.budget_pause = self.schedule.budget_pause.min(whole);
-            self.schedule.paused_as_full = None;
+    /// The radio carries more than when the last request went out: the next one is due sooner.
+    pub(super) fn shorten_pauses(&mut self, now: Stamp) {
+        let (each, copies) = self.schedule.last_bytes;
+        let short = self.budget_pause(now, each, copies, true);
+        let whole = self.budget_pause(now, each, copies, false);
+        self.schedule.is_paused_as_full = self.may_be_full(now);
+        self.schedule.short_pause = self.schedule.short_pause.min(short);
+        if whole < self.schedule.budget_pause {
+            self.schedule.budget_pause = whole;
+            let pause = whole.max(ms(self.config.request_period_idle_ms));
+            self.schedule.timers.set_sooner(Timer::Request, self.schedule.last_whole.plus(pause).max(now));
         }
     }
 
