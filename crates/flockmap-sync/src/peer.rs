@@ -178,12 +178,17 @@ impl Peer {
 
     /// Not heard for so long it is forgotten.
     pub(crate) fn timeout(&self, config: &SessionConfig) -> Duration {
-        ms(config.peer_timeout_ms).max(PAUSES_MISSED * self.next_within.min(NEXT_WITHIN_MAX))
+        ms(config.peer_timeout_ms).max(self.announced_pauses())
     }
 
     /// A snapshot to or from it of which nothing comes for so long is given up.
     pub(crate) fn transfer_patience(&self) -> Duration {
-        ABANDONED.max(PAUSES_MISSED * self.next_within.min(NEXT_WITHIN_MAX))
+        ABANDONED.max(self.announced_pauses())
+    }
+
+    /// So many of the pauses that it announced may pass.
+    fn announced_pauses(&self) -> Duration {
+        PAUSES_MISSED * self.next_within.min(NEXT_WITHIN_MAX)
     }
 
     /// When it is forgotten if nothing is heard of it until then.

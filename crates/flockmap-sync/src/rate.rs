@@ -38,9 +38,9 @@ const UNECHOED_MIN: u64 = 8_000;
 /// Beyond that, so many for each second since the newest that has arrived was sent, so that nothing ends where no peer says
 /// anything, or late.
 const UNHEARD_BYTES_PER_S: u64 = 1_300;
-/// What was sent lately was sent within so long.
+/// The radio may be full if nothing that was sent within so long is known to have arrived …
 const ECHO_PATIENCE: i64 = 2 * SECOND;
-/// Few bytes are out if these are: some requests.
+/// … and more than this is out without an echo: a few requests always are.
 const UNECHOED_FEW: u64 = 2_000;
 /// Looked at again after so long.
 const ECHO_PAUSE: Duration = Duration::from_millis(20);

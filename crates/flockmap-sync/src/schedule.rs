@@ -27,16 +27,12 @@ pub(crate) struct Schedule {
     /// Greetings that followed each other.
     pub(crate) greetings: u32,
     pub(crate) last: Stamp,
-    /// Least pause after the last request, so that requests leave most of a small budget to packages.
-    pub(crate) budget_pause: Duration,
+    /// Bytes of the last whole request and of the last short one, and how many copies went out: what follows leaves most of
+    /// a small budget to packages.
+    pub(crate) whole_bytes: (usize, usize),
+    pub(crate) short_bytes: (usize, usize),
     /// Until then the budget takes no request.
     pub(crate) blocked_until: Option<Stamp>,
-    /// As `budget_pause`, after the last short one.
-    pub(crate) short_pause: Duration,
-    /// Bytes of the last request, and how many copies of it went out: the pauses after it.
-    pub(crate) last_bytes: (usize, usize),
-    /// These are longer, since the radio may have been full then.
-    pub(crate) is_paused_as_full: bool,
     /// When the last whole one went out.
     pub(crate) last_whole: Stamp,
     pub(crate) last_activity: Stamp,
@@ -73,10 +69,8 @@ impl Schedule {
             probed: never,
             greetings: 0,
             last: never,
-            budget_pause: Duration::ZERO,
-            short_pause: Duration::ZERO,
-            last_bytes: (0, 0),
-            is_paused_as_full: false,
+            whole_bytes: (0, 0),
+            short_bytes: (0, 0),
             blocked_until: None,
             last_whole: never,
             last_activity: never,

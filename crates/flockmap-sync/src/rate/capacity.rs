@@ -1,7 +1,8 @@
 //! What the radio carries, whoever uses it.
 //!
-//! Where cross traffic fills the queue, nothing that a robot does empties it. Then it goes by what the radio carried before, or by pairs of datagrams: two that are sent at once stand in the queue one behind the other, and arrive
-//! as far apart as the radio takes for the second (packet pairs, Keshav 1991).
+//! Where cross traffic fills the queue, nothing that a robot does empties it. Then it goes by what the radio carried
+//! before, or by pairs of datagrams: two that are sent at once stand in the queue one behind the other, and arrive as
+//! far apart as the radio takes for the second (packet pairs, Keshav 1991).
 
 use super::queueing::Least;
 use core::time::Duration;

@@ -231,7 +231,8 @@ impl Link {
     }
 }
 
-/// Asserts the shares of the link in two minutes: of the robots, and of cross traffic that begins so many seconds after them.
+/// Asserts the shares of the link in two minutes: of the robots, and of cross traffic that begins so many seconds after
+/// them.
 fn assert_shares(
     robots: usize,
     is_broadcast: bool,

@@ -44,9 +44,7 @@ impl Session {
         let (peers, is_heard_by_all) = (self.peers.len(), self.config.cast == Cast::Broadcast);
         if self.outbox.rate.as_mut().is_some_and(|rate| rate.review(now, peers, is_heard_by_all)) {
             (self.outbox.blocked_until, self.schedule.blocked_until) = (None, None);
-            self.shorten_pauses(now);
-        } else if self.schedule.is_paused_as_full && !self.may_be_full(now) {
-            self.shorten_pauses(now);
+            self.hasten_request(now);
         }
         if let Err(error) = &result {
             let counter = match error {
@@ -192,7 +190,8 @@ impl Session {
         if let Some(peer) = self.peers.get_mut(&id) {
             peer.note_heard(now);
             let queued = peer.queueing.sample_from(now, now.micros_since(header.stamp));
-            peer.queued_in = Duration::from_micros(queued.map_or(0, |queued| queued.all.max(0)) as u64);
+            peer.queued_in =
+                Duration::from_micros(queued.map_or(0, |queued| queued.beyond_base.max(0)) as u64);
             if let Some(rate) = &mut self.outbox.rate {
                 let before = Some((peer.newest_stamp, peer.newest_stamp_at));
                 rate.note_heard(now, Heard { bytes: bytes + overhead, sent: header.stamp, before, queued });

@@ -107,7 +107,7 @@ impl Session {
             return None;
         }
         self.schedule.unprobed = 0;
-        self.schedule.probe_from = now.plus(self.budget_pause(now, each, copies as usize, true));
+        self.schedule.probe_from = now.plus(self.budget_pause(now, (each, copies as usize), true));
         self.report.counters.requests_out.add(copies, each);
         self.report.counters.probes += 1;
         Some(Transmit { to, path: None, bytes })
@@ -135,7 +135,7 @@ impl Session {
         self.schedule.probed = now;
         if self.config.gap_requests {
             self.schedule.gap_tries = 0;
-            let at = now.max(self.schedule.last.plus(self.schedule.short_pause));
+            let at = now.max(self.schedule.last.plus(self.short_pause(now)));
             self.schedule.timers.set_sooner(Timer::Gap, at);
         }
     }

@@ -45,13 +45,11 @@ impl Session {
             return None;
         }
         if is_short || is_small {
-            self.schedule.short_pause = self.budget_pause(now, each, copies as usize, true);
+            self.schedule.short_bytes = (each, copies as usize);
         }
         if !is_short {
-            self.schedule.budget_pause = self.budget_pause(now, each, copies as usize, false);
+            self.schedule.whole_bytes = (each, copies as usize);
         }
-        self.schedule.last_bytes = (each, copies as usize);
-        self.schedule.is_paused_as_full = self.may_be_full(now);
         self.report.counters.requests_out.add(copies, each);
         if let Destination::Peer(id) = to
             && let Some(peer) = self.peers.get_mut(&id)
@@ -123,7 +121,7 @@ impl Session {
     pub(super) fn next_within_ms(&self, now: Stamp) -> u32 {
         let copies = self.copies(Destination::Everyone) as usize;
         let longest = self.request_bytes_max(copies) + self.overhead(Kind::Request);
-        let pause = self.budget_pause(now, longest, copies, false);
+        let pause = self.budget_pause(now, (longest, copies), false);
         let ms = u32::try_from(pause.as_millis()).unwrap_or(u32::MAX);
         if ms > self.config.request_period_idle_ms { ms.saturating_add(ms / 4) } else { 0 }
     }

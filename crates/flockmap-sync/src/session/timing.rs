@@ -57,7 +57,7 @@ impl Session {
     /// Packages flow: the next periodic request is due sooner.
     pub(super) fn note_activity(&mut self, now: Stamp) {
         let period = ms(self.config.request_period_active_ms);
-        let soon = now.plus(period).max(self.schedule.last_whole.plus(self.schedule.budget_pause));
+        let soon = now.plus(period).max(self.schedule.last_whole.plus(self.whole_pause(now)));
         self.schedule.last_activity = now;
         self.schedule.timers.set_sooner(Timer::Request, soon);
     }
@@ -66,7 +66,7 @@ impl Session {
     pub(super) fn greet(&mut self, now: Stamp) {
         // Where many meet at once, each greeting greets all who were met since the last.
         let doublings = 2 * self.schedule.greetings.min(4);
-        let pause = (GREETING_PAUSE * (1 << doublings)).max(self.schedule.short_pause);
+        let pause = (GREETING_PAUSE * (1 << doublings)).max(self.short_pause(now));
         let at = now.max(self.schedule.last.plus(pause));
         let at = at.plus(self.schedule.jitter(GREETING_JITTER));
         self.schedule.timers.set_sooner(Timer::Greeting, at);
@@ -117,7 +117,7 @@ impl Session {
         let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
         let shortest = self.gap_pause_shortest(now, round_trip);
         let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
-        shortest.saturating_mul(1 << doublings).min(GAP_PAUSE_MAX).max(self.schedule.short_pause)
+        shortest.saturating_mul(1 << doublings).min(GAP_PAUSE_MAX).max(self.short_pause(now))
     }
 
     /// How much later than it could this robot asks for what is missing, since others of a crowd may lack the same and ask
@@ -227,7 +227,12 @@ impl Session {
     }
 
     /// Pause after a request of so many bytes, so that requests take no more than their share of the budget.
-    pub(super) fn budget_pause(&self, now: Stamp, each: usize, copies: usize, is_short: bool) -> Duration {
+    pub(super) fn budget_pause(
+        &self,
+        now: Stamp,
+        (each, copies): (usize, usize),
+        is_short: bool,
+    ) -> Duration {
         let pause = |bytes: usize, rate: Option<u32>| {
             let of_share = |share: u64| {
                 Duration::from_micros(
@@ -249,22 +254,24 @@ impl Session {
     }
 
     /// Whether nothing is known of the radio, and it may be full.
-    pub(super) fn may_be_full(&self, now: Stamp) -> bool {
+    fn may_be_full(&self, now: Stamp) -> bool {
         self.outbox.rate.as_ref().is_some_and(|rate| rate.in_slow_start() && !rate.seems_free(now))
     }
 
-    /// The radio carries more than when the last request went out: the next one is due sooner.
-    pub(super) fn shorten_pauses(&mut self, now: Stamp) {
-        let (each, copies) = self.schedule.last_bytes;
-        let short = self.budget_pause(now, each, copies, true);
-        let whole = self.budget_pause(now, each, copies, false);
-        self.schedule.is_paused_as_full = self.may_be_full(now);
-        self.schedule.short_pause = self.schedule.short_pause.min(short);
-        if whole < self.schedule.budget_pause {
-            self.schedule.budget_pause = whole;
-            let pause = whole.max(ms(self.config.request_period_idle_ms));
-            self.schedule.timers.set_sooner(Timer::Request, self.schedule.last_whole.plus(pause).max(now));
-        }
+    /// Least pause after the last whole request, at the rate of now.
+    fn whole_pause(&self, now: Stamp) -> Duration {
+        self.budget_pause(now, self.schedule.whole_bytes, false)
+    }
+
+    /// The same after the last short one; in a small swarm, after the last one.
+    pub(super) fn short_pause(&self, now: Stamp) -> Duration {
+        self.budget_pause(now, self.schedule.short_bytes, true)
+    }
+
+    /// The rate is another one: if it rose, the next whole request is due sooner.
+    pub(super) fn hasten_request(&mut self, now: Stamp) {
+        let pause = self.whole_pause(now).max(ms(self.config.request_period_idle_ms));
+        self.schedule.timers.set_sooner(Timer::Request, self.schedule.last_whole.plus(pause).max(now));
     }
 
     /// The rate of which whole requests take their share.
@@ -287,7 +294,7 @@ impl Session {
                 true => self.config.request_period_active_ms,
                 false => self.config.request_period_idle_ms,
             };
-            let period = ms(period).max(self.schedule.budget_pause);
+            let period = ms(period).max(self.whole_pause(now));
             let jittered = period - period / 10 + self.schedule.jitter(period / 5);
             self.schedule.timers.set(Timer::Request, now.plus(jittered));
         }
@@ -300,7 +307,7 @@ impl Session {
             if self.schedule.probes_left == 0 {
                 self.schedule.timers.stop(Timer::Probe);
             } else if self.schedule.timers.get(Timer::Probe).is_some() {
-                let pause = timeouts.fold(self.schedule.short_pause, Duration::max);
+                let pause = timeouts.fold(self.short_pause(now), Duration::max);
                 self.schedule.timers.set(Timer::Probe, now.plus(pause));
             }
         }
@@ -318,7 +325,7 @@ impl Session {
         if self.schedule.timers.get(Timer::Gap).is_some() {
             // The request has just said all that is missing; say it again after a pause that grows.
             let pause = self.gap_pause(now, None);
-            let periodic = ms(self.config.request_period_active_ms).max(self.schedule.budget_pause);
+            let periodic = ms(self.config.request_period_active_ms).max(self.whole_pause(now));
             match pause < periodic {
                 true => self.schedule.timers.set(Timer::Gap, now.plus(pause).plus(self.gap_delay())),
                 false => self.schedule.timers.stop(Timer::Gap),
