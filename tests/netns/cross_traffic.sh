@@ -9,6 +9,7 @@
 #   FLIGHT_S=40 QUIET_S=45 (a robot ends when its record is over and nothing new has come for so long)
 # needs: root, ip and tc with tbf, python3 (the stream). exit: 0 as it must be, 1 not so, 77 skipped.
 set -eu
+. "$(dirname "$0")/configuration.sh"
 . "$(dirname "$0")/layers.sh"
 
 flockmap=$1
@@ -81,29 +82,10 @@ while True:
     print(f"{time.time() - began:.1f} {received[0]}", flush=True)
 END
 
+address() { echo "127.0.0.1:770$1"; }
+appears() { address "$1"; }
 for n in $robots; do
-    peers=
-    for other in $robots; do
-        [ "$other" = "$n" ] || peers="$peers\"127.0.0.1:770$other\", "
-    done
-    cat > "$dir/$n.toml" << END
-id = $n
-name = "robot$n"
-[map]
-resolution_m = 0.2
-range_m = 7.0
-[state]
-path = "state"
-[network]
-bind = "127.0.0.1:770$n"
-peers = [$peers]
-[sensor]
-record = "robot$n.mcap"
-start_s = 2.0
-[output]
-report_json = "$n.json"
-end_when_quiet_s = $QUIET_S
-END
+    configuration "$n" "$n" 2.0
     ip netns exec "$name" "$flockmap" node --config "$dir/$n.toml" > /dev/null 2> "$dir/$n.log" &
     pids="$pids $!"
 done

@@ -11,6 +11,7 @@
 #   DOWN_S=4 QUIET_S=10 (a robot ends when its record is over and nothing new has come for so long), NO_NETNS=1: the loopback.
 # exit: 0 equal, 1 not equal or failed.
 set -eu
+. "$(dirname "$0")/configuration.sh"
 
 flockmap=$1
 dir=${2:-}
@@ -80,30 +81,6 @@ within() { # NAMESPACE COMMAND...
 
 "$flockmap" sim fly --scene indoor --robots 5 --seconds "$FLIGHT_S" --lidar mid360 --resolution 0.2 --no-view --out "$dir" > "$dir/fly.log"
 
-configuration() { # ROBOT RUN START_S
-    peers=
-    for other in $robots; do
-        [ "$other" = "$1" ] || peers="$peers\"$(appears "$other")\", "
-    done
-    cat > "$dir/$2.toml" << END
-id = $1
-name = "robot$2"
-[map]
-resolution_m = 0.2
-range_m = 7.0
-[state]
-path = "state"
-[network]
-bind = "$(address "$1")"
-peers = [$peers]
-[sensor]
-record = "robot$1.mcap"
-start_s = $3
-[output]
-report_json = "$2.json"
-end_when_quiet_s = $QUIET_S
-END
-}
 for n in $robots; do configuration "$n" "$n" 0.0; done
 configuration 5 5-again $((KILL_AT_S + DOWN_S)).0
 

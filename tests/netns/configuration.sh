@@ -1,0 +1,28 @@
+# Read by the scripts beside it: configurations of nodes that fly the records of $dir, each with all of $robots as peers. Where one
+# listens `address ROBOT` says, and where others find it `appears ROBOT`.
+
+# Writes $dir/RUN.toml, of a run of a robot that begins so far into its record.
+configuration() { # ROBOT RUN START_S
+    peers=
+    for other in $robots; do
+        [ "$other" = "$1" ] || peers="$peers\"$(appears "$other")\", "
+    done
+    cat > "$dir/$2.toml" << END
+id = $1
+name = "robot$2"
+[map]
+resolution_m = 0.2
+range_m = 7.0
+[state]
+path = "state"
+[network]
+bind = "$(address "$1")"
+peers = [$peers]
+[sensor]
+record = "robot$1.mcap"
+start_s = $3
+[output]
+report_json = "$2.json"
+end_when_quiet_s = $QUIET_S
+END
+}
