@@ -55,12 +55,11 @@ address, received, began = ("127.0.0.1", 9000), [0], time.time()
 stream = socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM
 there = socket.socket(socket.AF_INET, stream)
 there.bind(address)
+if kind == "tcp":
+    there.listen(1)
 
 def receive():
-    taker = there
-    if kind == "tcp":
-        there.listen(1)
-        taker, _ = there.accept()
+    taker = there.accept()[0] if kind == "tcp" else there
     while data := taker.recv(65536):
         received[0] += len(data)
 
