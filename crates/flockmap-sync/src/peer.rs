@@ -318,7 +318,7 @@ impl Peer {
             self.in_flight.pop_front();
         }
         if self.in_flight.len() < in_flight_max || mutation::is(Mutation::WindowIgnored) {
-            self.in_flight.push_back(SentPackage { item, at: now, is_repeated, requests: 0 });
+            self.in_flight.push_back(SentPackage { item, at: now, is_repeated, is_heard: false, requests: 0 });
         }
     }
 
@@ -350,7 +350,16 @@ impl Peer {
         }
         let is_news = self.lacks(item);
         self.cover(item, now, in_flight_max);
+        if let Some(sent) = self.in_flight.back_mut().filter(|sent| sent.item == item) {
+            sent.is_heard = true;
+        }
         is_news
+    }
+
+    /// Whether it has stated that it holds a package.
+    pub(crate) fn states(&self, item: Item) -> bool {
+        let Item::Package { stream, index } = item else { return false };
+        self.streams.get(&stream).is_some_and(|theirs| theirs.received.contains(index))
     }
 
     /// Whether an item is still missing and not in flight, and can be noted as being in flight.

@@ -18,6 +18,8 @@ pub(crate) struct SentPackage {
     pub(crate) at: Stamp,
     /// It went out again before anything was known of it.
     pub(crate) is_repeated: bool,
+    /// Another robot sent it, and the peer hears that one.
+    pub(crate) is_heard: bool,
     /// Requests of the peer since then in which it was still missing.
     pub(crate) requests: u8,
 }

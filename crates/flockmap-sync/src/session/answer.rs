@@ -245,15 +245,26 @@ impl Session {
         echo: Option<(Stamp, Duration)>,
     ) {
         let timeout = self.round_trip_timeout(id);
+        let farthest = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let patience = self.config.patience(peer.round_trip.variation());
         // What it says is as old as its request queued, and what was sent before that queued about as long.
         let timeout = timeout + 2 * peer.queued_in;
+        // The newest that it says has come, of what this robot sent and of what both heard.
+        let evidence = [false, true].map(|is_heard| {
+            let confirmed = peer.in_flight.iter().filter(|sent| {
+                sent.is_heard == is_heard && !sent.is_repeated && peer.states(sent.item)
+            });
+            confirmed.map(|sent| sent.at).max()
+        });
+        let is_cut = !request.all_echoes && echo.is_none();
         let is_lost = |sent: &SentPackage| match self.config.in_flight {
             InFlight::PreviousRequest => sent.requests >= 2,
             InFlight::RoundTrip => match echo.filter(|(stamp, _)| *stamp >= sent.at) {
                 // The peer has heard something sent with it or later: how long has it waited since?
                 Some((stamp, age)) => stamp.since(sent.at) + age >= patience,
+                None if evidence[usize::from(sent.is_heard)].is_some_and(|newest| newest.since(sent.at) >= patience) => true,
+                None if is_cut => now.since(sent.at) >= 2 * farthest && sent.requests >= 2,
                 None => now.since(sent.at) >= timeout,
             },
         };
