@@ -305,8 +305,9 @@ impl Peer {
             // It is not sent this set.
             return;
         }
+        let is_held = theirs.as_ref().is_some_and(|theirs| theirs.holds(item));
         let is_new = theirs.is_some_and(|theirs| theirs.cover(item));
-        let mut is_repeated = self.repeating.remove(&item);
+        let mut is_repeated = self.repeating.remove(&item) || is_held;
         if let Some(at) = self.in_flight.iter().rposition(|sent| !is_new && sent.item == item) {
             self.in_flight.remove(at);
             is_repeated = true;
@@ -318,7 +319,13 @@ impl Peer {
             self.in_flight.pop_front();
         }
         if self.in_flight.len() < in_flight_max || mutation::is(Mutation::WindowIgnored) {
-            self.in_flight.push_back(SentPackage { item, at: now, is_repeated, is_heard: false, requests: 0 });
+            self.in_flight.push_back(SentPackage {
+                item,
+                at: now,
+                is_repeated,
+                is_heard: false,
+                requests: 0,
+            });
         }
     }
 
@@ -356,10 +363,13 @@ impl Peer {
         is_news
     }
 
-    /// Whether it has stated that it holds a package.
-    pub(crate) fn states(&self, item: Item) -> bool {
-        let Item::Package { stream, index } = item else { return false };
-        self.streams.get(&stream).is_some_and(|theirs| theirs.received.contains(index))
+    /// When the newest was sent of what it has confirmed by now: of what this robot sent, and of what others did.
+    pub(crate) fn newest_that_came(&self) -> [Option<Stamp>; 2] {
+        let has_come = |item: Item| self.streams.get(&item.stream()).is_some_and(|theirs| theirs.holds(item));
+        [false, true].map(|is_heard| {
+            let sent = self.in_flight.iter().filter(|sent| sent.is_heard == is_heard && !sent.is_repeated);
+            sent.filter(|sent| has_come(sent.item)).map(|sent| sent.at).max()
+        })
     }
 
     /// Whether an item is still missing and not in flight, and can be noted as being in flight.

@@ -8,6 +8,7 @@
 
 mod coded;
 mod datagram;
+mod newest;
 mod packages;
 mod path;
 mod request;
@@ -17,6 +18,7 @@ pub(crate) use coded::{Coded, parse_coded};
 pub use datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, HEADER_BYTES, Kind, LAYOUT, WIRE_VERSION,
 };
+pub use newest::{Heard, ReceivedNewest};
 pub use packages::{
     CONTENTS_BYTES_MAX, Contents, PackagesWriter, asks_for_request, parse_contents, parse_packages,
 };

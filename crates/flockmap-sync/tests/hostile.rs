@@ -11,6 +11,7 @@ use flockmap_sync::wire::{
 };
 use flockmap_sync::{Cast, Event, IntervalSet, Session, SessionConfig, SwarmKey, Verdict};
 use std::alloc::{GlobalAlloc, Layout, System};
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use swarm::{Radio, Random, SECOND, Swarm};
 
@@ -111,6 +112,9 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
             received: any_set(random),
         }
     };
+    let lists: Vec<Received> = (0..random.below(4)).map(|_| received(random)).collect();
+    let newest_runs: BTreeSet<Stream> =
+        lists.iter().map(|list| list.stream).filter(|_| random.happens(0.5)).collect();
     Request {
         origins: random.happens(0.5).then(|| OriginRange {
             first: RobotId(random.below(20) as u16),
@@ -128,9 +132,9 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
                 age_micros: random.next() as u32,
             })
             .collect(),
-        epochs_low: random.happens(0.5),
-        received_low: Vec::new(),
-        received: (0..random.below(4)).map(|_| received(random)).collect(),
+        newest_runs: newest_runs.into_iter().collect(),
+        hears: (0..random.below(4)).map(|robot| Stream { origin: RobotId(robot as u16), epoch: 1 }).collect(),
+        received: lists,
         transfers: (0..random.below(3))
             .map(|_| TransferProgress {
                 source: own,
@@ -148,6 +152,7 @@ fn wild(random: &mut Random, now: Stamp, senders: u64, own: RobotId) -> Vec<u8> 
             request(random, Stream { origin: own, epoch: 1 }),
             request(random, Stream { origin: RobotId(2), epoch: 1 }),
         ],
+        ..Request::default()
     }
     .emit(header, 1_200)
 }

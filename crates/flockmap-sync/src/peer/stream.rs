@@ -16,7 +16,7 @@ const UNHEEDED_MAX: u8 = 5;
 pub(crate) struct SentPackage {
     pub(crate) item: Item,
     pub(crate) at: Stamp,
-    /// It went out again before anything was known of it.
+    /// It went out again before anything was known of it, or though it was known to be there.
     pub(crate) is_repeated: bool,
     /// Another robot sent it, and the peer hears that one.
     pub(crate) is_heard: bool,
@@ -126,6 +126,11 @@ impl PeerStream {
             self.pieces_upto = self.pieces_upto.max(sending.pieces_upto);
         }
         self.sending = Some(sending);
+    }
+
+    /// Whether a package is stated to be held.
+    pub(crate) fn holds(&self, item: Item) -> bool {
+        matches!(item, Item::Package { index, .. } if self.received.contains(index))
     }
 
     /// Notes that an item need not be sent now; whether that was news. A view that is too torn to note it

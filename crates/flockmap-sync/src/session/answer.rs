@@ -95,6 +95,7 @@ impl Session {
         peer.next_within = ms(request.next_within_ms);
         self.schedule.timers.set_sooner(Timer::Silence, peer.lost_at(&self.config));
         let hears = request.echoes.iter().map(|echo| (echo.robot, echo.epoch_low));
+        let hears = hears.chain(request.hears.iter().map(|run| (run.origin, run.epoch as u16)));
         if request.is_short {
             for (robot, epoch_low) in hears {
                 peer.is_meeting |= peer.hears.insert(robot, epoch_low).is_none();
@@ -246,25 +247,24 @@ impl Session {
     ) {
         let timeout = self.round_trip_timeout(id);
         let farthest = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
+        // A crowd echoes few stamps.
+        let is_without_stamp = echo.is_none() && self.peers.len() > SMALL_SWARM;
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let patience = self.config.patience(peer.round_trip.variation());
         // What it says is as old as its request queued, and what was sent before that queued about as long.
         let timeout = timeout + 2 * peer.queued_in;
-        // The newest that it says has come, of what this robot sent and of what both heard.
-        let evidence = [false, true].map(|is_heard| {
-            let confirmed = peer.in_flight.iter().filter(|sent| {
-                sent.is_heard == is_heard && !sent.is_repeated && peer.states(sent.item)
-            });
-            confirmed.map(|sent| sent.at).max()
-        });
-        let is_cut = !request.all_echoes && echo.is_none();
+        let newest_that_came = if is_without_stamp { peer.newest_that_came() } else { [None; 2] };
         let is_lost = |sent: &SentPackage| match self.config.in_flight {
             InFlight::PreviousRequest => sent.requests >= 2,
+            // What has come shows what was lost before it (as in RACK, RFC 8985).
+            InFlight::RoundTrip if is_without_stamp => {
+                let newest = newest_that_came[usize::from(sent.is_heard)];
+                newest.is_some_and(|newest| newest.since(sent.at) >= patience)
+                    || (sent.requests >= 2 && now.since(sent.at) >= timeout.max(2 * farthest))
+            }
             InFlight::RoundTrip => match echo.filter(|(stamp, _)| *stamp >= sent.at) {
                 // The peer has heard something sent with it or later: how long has it waited since?
                 Some((stamp, age)) => stamp.since(sent.at) + age >= patience,
-                None if evidence[usize::from(sent.is_heard)].is_some_and(|newest| newest.since(sent.at) >= patience) => true,
-                None if is_cut => now.since(sent.at) >= 2 * farthest && sent.requests >= 2,
                 None => now.since(sent.at) >= timeout,
             },
         };

@@ -13,7 +13,7 @@ use crate::wire::{
     parse_coded, parse_contents, parse_packages,
 };
 use core::time::Duration;
-use flockmap_grid::{Stamp, Stream};
+use flockmap_grid::{RobotId, Stamp, Stream};
 
 impl Session {
     /// Takes in a received datagram, of a driver that knows no addresses. An error is already counted; it
@@ -105,14 +105,7 @@ impl Session {
         match header.kind {
             Kind::Request => {
                 let mut request = Request::parse(&datagram, PEER_INTERVALS_MAX)?;
-                request.find_runs(|origin, low| {
-                    let sender = Some(header.sender).filter(|sender| sender.origin == origin);
-                    let runs = self
-                        .store
-                        .runs(origin)
-                        .chain(sender.filter(|run| self.store.received(*run).is_none()));
-                    runs.filter(|run| run.epoch as u16 == low).collect()
-                });
+                request.find_runs(|robot| self.newest_run(robot, header.sender), PEER_INTERVALS_MAX);
                 if let Err(unheard) = self.hear(now, &header, path, bytes.len()) {
                     self.note_own_runs(now, &request);
                     return Err(unheard);
@@ -145,6 +138,15 @@ impl Session {
             }
         }
         Ok(())
+    }
+
+    /// The run that a robot flies, as far as it is known, where a datagram of this sender is read.
+    fn newest_run(&self, robot: RobotId, sender: Stream) -> Option<Stream> {
+        if robot == sender.origin {
+            return Some(sender);
+        }
+        let heard = self.peers.get(&robot).map(|peer| peer.stream);
+        heard.max(self.store.newest_run(robot))
     }
 
     /// Notes that a peer was heard; makes its acquaintance if it is new or in a new run.

@@ -94,7 +94,7 @@ impl Session {
             is_short: true,
             no_new_streams: self.store.is_full(),
             next_within_ms: self.next_within_ms(now),
-            epochs_low: true,
+            newest_runs: vec![self.identity.own],
             received,
             ..Request::default()
         };

@@ -21,8 +21,11 @@ const REQUEST_BYTES_MIN: usize = 280;
 /// budget.
 const SEALED_REQUEST_BYTES_MIN: usize = 299;
 
+/// Peers that are echoed in a whole request of a crowd, in turn, and in a short one.
+const ECHOES_OF_MANY: usize = 8;
+const ECHOES_OF_MANY_SHORT: usize = 4;
 /// Of so many whole requests of a robot in a crowd one names runs in full.
-const WHOLES_IN_FULL: u32 = 3;
+const WHOLES_IN_FULL: u32 = 8;
 
 impl Session {
     pub(super) fn transmit_request(&mut self, now: Stamp) -> Option<Transmit> {
@@ -38,7 +41,10 @@ impl Session {
         let to = if for_gap && !for_all { self.whom_to_ask(now) } else { Destination::Everyone };
         let copies = self.copies(to);
         let header = self.header(now, Kind::Request);
-        let (request, urgent) = if is_short { self.short_request(now, for_all) } else { self.request(now) };
+        let (request, urgent) = match is_short {
+            true => self.short_request(now, for_all),
+            false => self.whole_request(now),
+        };
         let (bytes, origins) = request.emit_in_order(header, self.request_bytes_max(copies as usize), urgent);
         let each = bytes.len() + self.overhead(Kind::Request);
         if !self.spend(now, to, each, copies as usize) {
@@ -126,16 +132,42 @@ impl Session {
         if ms > self.config.request_period_idle_ms { ms.saturating_add(ms / 4) } else { 0 }
     }
 
+    /// All that there is to say. In a crowd the stamps of a few peers are echoed, in turn.
+    fn whole_request(&self, now: Stamp) -> (Request, usize) {
+        let (mut request, urgent) = self.request(now);
+        if self.peers.len() > SMALL_SWARM {
+            request.echoes.truncate(ECHOES_OF_MANY);
+            request.hears = self.peers.values().map(|peer| peer.stream).collect();
+            if self.schedule.wholes % WHOLES_IN_FULL != WHOLES_IN_FULL - 1 {
+                request.newest_runs = self.newest_runs();
+            }
+        }
+        (request, urgent)
+    }
+
     /// What is missing, and whom it may be had from; `is_greeting`: the newest own package and who is met, too.
     fn short_request(&self, now: Stamp, is_greeting: bool) -> (Request, usize) {
         let (mut request, urgent) = self.request(now);
         request.received.truncate(urgent);
-        let urgent = request.received.len();
         let is_asked = |robot| request.received.iter().any(|received| received.stream.origin == robot);
-        let is_met = |robot| self.peers.get(&robot).is_some_and(|peer| is_greeting && !peer.is_greeted);
+        let met = self.peers.values().filter(|peer| is_greeting && !peer.is_greeted);
+        let met: Vec<Stream> = met.map(|peer| peer.stream).collect();
+        let is_met = |robot| met.iter().any(|run| run.origin == robot);
         request.echoes.retain(|echo| is_asked(echo.robot) || is_met(echo.robot));
-        let (clocks, epochs_low) = (Vec::new(), self.schedule.superseded.is_none());
-        (Request { is_short: true, origins: None, all_echoes: false, epochs_low, clocks, ..request }, urgent)
+        if self.peers.len() > SMALL_SWARM {
+            request.echoes.truncate(ECHOES_OF_MANY_SHORT);
+            request.hears = met;
+        }
+        let (urgent, newest_runs) = (request.received.len(), self.newest_runs());
+        let short = Request {
+            is_short: true,
+            origins: None,
+            all_echoes: false,
+            newest_runs,
+            clocks: Vec::new(),
+            ..request
+        };
+        (short, urgent)
     }
 
     /// What there is to say; and how many of the lists of held indices are urgent: the own one, and those
@@ -152,7 +184,7 @@ impl Session {
                 age_micros: now.micros_since(peer.newest_stamp_at).clamp(0, i64::from(u32::MAX)) as u32,
             })
             .collect();
-        rotate(&mut echoes, count.wrapping_mul(8));
+        rotate(&mut echoes, count.wrapping_mul(ECHOES_OF_MANY));
         let (received, urgent) = self.received_lists(now);
         let transfers = self.inbox.transfers.iter().map(|transfer| TransferProgress {
             source: transfer.source,
@@ -174,20 +206,25 @@ impl Session {
             next_within_ms: self.next_within_ms(now),
             echoes,
             received,
-            epochs_low: self.epochs_low(),
-            received_low: Vec::new(),
             transfers,
-            clocks: self.clock_reports(),
+            clocks: self.clock_reports(now),
             snapshot_requests: self.snapshot_requests(now),
+            ..Request::default()
         };
         (request, urgent)
     }
 
-    /// Whether the next request names runs by the low bits of their epochs. In a crowd those that are named are known to
-    /// most; every third whole request names them in full.
-    fn epochs_low(&self) -> bool {
-        let is_crowd = self.peers.len() > SMALL_SWARM && self.schedule.superseded.is_none();
-        is_crowd && !self.schedule.wholes.is_multiple_of(WHOLES_IN_FULL)
+    /// The newest runs of all robots that are known; none while one is to be told of its newest.
+    fn newest_runs(&self) -> Vec<Stream> {
+        if self.schedule.superseded.is_some() {
+            return Vec::new();
+        }
+        let mut runs: Vec<Stream> = Vec::new();
+        for stream in self.store.streams() {
+            runs.pop_if(|before| before.origin == stream.origin);
+            runs.push(stream);
+        }
+        runs
     }
 
     /// The lists of held indices in the order in which they are to be written, and how many of them are
@@ -279,12 +316,13 @@ impl Session {
     }
 
     /// Clocks of peers that somebody else here cannot hear.
-    fn clock_reports(&self) -> Vec<ClockReport> {
+    fn clock_reports(&self, now: Stamp) -> Vec<ClockReport> {
         let unheard_by_somebody = |robot: RobotId| {
             self.peers.values().any(|peer| {
                 peer.stream.origin != robot
                     && peer.request.is_some()
                     && peer.hears_all_listed
+                    && !peer.is_new(now, self.peers.len())
                     && !peer.hears(robot)
             })
         };

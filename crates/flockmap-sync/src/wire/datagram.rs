@@ -8,7 +8,7 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 pub const DATAGRAM_BYTES_MAX: usize = 1_200;
 
 /// The version of the layout. Any change of the layout of what stands in `WIRE.md` is a change of this.
-pub const WIRE_VERSION: u8 = 6;
+pub const WIRE_VERSION: u8 = 7;
 
 /// Bytes of the header of a datagram that is not sealed.
 pub const HEADER_BYTES: usize = 28;
@@ -37,8 +37,9 @@ type 5 clocks: (robot varint, epoch low u16, offset zigzag)*
 type 6 snapshot request: origin varint, epoch varint, since varint, intervals of undecodable indices
 type 8 received, something is lacking: origin varint, epoch varint, flags u8 (1 as type 7, 2 independent packages wanted, 4 rest wanted, 8 some of it is there), \
 holder varint and upto varint if the rest is wanted, since varint if some of it is there, intervals
-type 10 received, by low epoch: origin varint, epoch low u16, intervals
-type 11 received, without a gap: (origin varint, epoch low u16, newest index varint)*
+type 10 received of newest runs: crc32 u32 of (origin u16, epoch u64)*, (origin - origin before - 1 zigzag, from 0 on, \
+2 newest index varint or 2 intervals + 1 varint and as many of (gap varint, length - 1 varint))*
+type 11 heard: crc32 u32 of (robot u16, epoch u64)*, (gap varint, robots - 1 varint)*
 type 9 the sender will be heard again: within milliseconds varint
 type 16 package: map package
 type 17 package of the sender's own run: map package without origin and epoch

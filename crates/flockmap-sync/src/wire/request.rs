@@ -3,6 +3,7 @@
 use super::datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
 };
+use super::newest::{Heard, NewestWriter, ReceivedNewest, put_heard};
 use crate::IntervalSet;
 use flockmap_codec::bytes::{Reader, put_varint, put_zigzag, varint_len};
 use flockmap_grid::{RobotId, Stamp, Stream};
@@ -16,8 +17,8 @@ const SNAPSHOT_REQUEST: u8 = 6;
 const RECEIVED_FROM_OLDEST: u8 = 7;
 const RECEIVED_IN_PART: u8 = 8;
 const NEXT_WITHIN: u8 = 9;
-const RECEIVED_LOW: u8 = 10;
-const RECEIVED_UPTO: u8 = 11;
+const RECEIVED_NEWEST: u8 = 10;
+const HEARD: u8 = 11;
 
 const ALL_ORIGINS: u8 = 1;
 const ALL_ECHOES: u8 = 2;
@@ -70,17 +71,6 @@ pub struct Received {
     pub from: u32,
     /// The indices held, none of them below `from`.
     pub received: IntervalSet,
-}
-
-impl Received {
-    /// The newest package, where all before it are held and no more is to be said.
-    fn without_gap(&self) -> Option<u32> {
-        let is_plain = self.in_part.is_none() && !self.is_oldest_wanted && self.from == 1;
-        match self.received.intervals() {
-            &[(1, newest)] if is_plain => Some(newest),
-            _ => None,
-        }
-    }
 }
 
 /// Origins of which a request names every run that the sender holds something of: what it does not name of
@@ -190,7 +180,7 @@ pub struct Request {
     /// The origins of which `received` names every run that the sender holds something of. A request that has
     /// to be cut says nothing of others that it does not name. `None`: of no origin.
     pub origins: Option<OriginRange>,
-    /// Whether `echoes` names every peer that the sender hears.
+    /// Whether `echoes` and `hears` name every peer that the sender hears.
     pub all_echoes: bool,
     /// The sender has no room for streams that it does not name.
     pub no_new_streams: bool,
@@ -205,11 +195,15 @@ pub struct Request {
     /// What the sender holds. To be written: what matters most first, then all runs by their origins, in the
     /// order of `origins`.
     pub received: Vec<Received>,
-    /// Of these, lists of which nothing more is to be said are written with the low 16 bits of the epoch: who knows the
-    /// run knows which one is meant.
-    pub epochs_low: bool,
-    /// What was read like that, and is still to be [given its run](Self::find_runs): the epochs are the low bits.
-    pub received_low: Vec<Received>,
+    /// Runs that the sender knows as the newest ones of their robots, in ascending order: lists of these are written by a
+    /// digest of the epochs. Empty: all are named in full.
+    pub newest_runs: Vec<Stream>,
+    /// The runs of peers that the sender hears, beside those in `echoes`, in ascending order.
+    pub hears: Vec<Stream>,
+    /// What was read by digests, and is still to be [given its runs](Self::find_runs).
+    pub received_newest: Vec<ReceivedNewest>,
+    /// The same of whom the sender hears.
+    pub heard: Vec<Heard>,
     /// The snapshots that it is receiving.
     pub transfers: Vec<TransferProgress>,
     /// What it knows of others' clocks.
@@ -247,10 +241,11 @@ impl Request {
                 RECEIVED | RECEIVED_FROM_OLDEST | RECEIVED_IN_PART => {
                     (request.read_received(&mut reader, id, intervals_max), "list of held indices")
                 }
-                RECEIVED_UPTO => {
-                    (request.read_received_upto(&mut reader, intervals_max), "streams without a gap")
+                RECEIVED_NEWEST => {
+                    let read = ReceivedNewest::read(&mut reader);
+                    (read.map(|lists| request.received_newest.push(lists)), "lists of newest runs")
                 }
-                RECEIVED_LOW => (request.read_received_low(&mut reader, intervals_max), "list by low epoch"),
+                HEARD => (Heard::read(&mut reader).map(|heard| request.heard.push(heard)), "robots heard"),
                 TRANSFER => (request.read_transfer(&mut reader, intervals_max), "transfer"),
                 ORIGINS => (request.read_origins(&mut reader), "range of origins"),
                 NEXT_WITHIN => (request.read_next_within(&mut reader), "time to the next request"),
@@ -298,34 +293,19 @@ impl Request {
         Some(())
     }
 
-    fn read_received_low(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
-        let (origin, epoch) = (RobotId(reader.varint_u16()?), u64::from(reader.u16()?));
-        let (stream, is_oldest_wanted, in_part) = (Stream { origin, epoch }, false, None);
-        let (from, received) = read_intervals(reader, intervals_max)?;
-        self.received_low.push(Received { stream, is_oldest_wanted, in_part, from, received });
-        Some(())
-    }
-
-    fn read_received_upto(&mut self, reader: &mut Reader<'_>, intervals_max: usize) -> Option<()> {
-        while !reader.is_empty() {
-            let (origin, epoch) = (RobotId(reader.varint_u16()?), u64::from(reader.u16()?));
-            let upto = reader.varint_u32().filter(|upto| *upto > 0)?;
-            let (stream, is_oldest_wanted, in_part) = (Stream { origin, epoch }, false, None);
-            let received = IntervalSet::from_intervals(intervals_max, vec![(1, upto)]);
-            self.received_low.push(Received { stream, is_oldest_wanted, in_part, from: 1, received });
+    /// Gives what was read by digests the runs that are meant: the newest ones that the reader knows. Where these are not
+    /// the sender's, nothing of it is taken in, and the request says nothing of what it does not name.
+    pub fn find_runs(&mut self, newest: impl Fn(RobotId) -> Option<Stream>, intervals_max: usize) {
+        for lists in core::mem::take(&mut self.received_newest) {
+            match lists.find_runs(&newest, intervals_max) {
+                Some(received) => self.received.extend(received),
+                None => self.origins = None,
+            }
         }
-        Some(())
-    }
-
-    /// Gives lists that came with the low bits of an epoch the run that is meant: the only one that is known with these.
-    /// Of one that is not known nothing is taken in. Where several are, the request says nothing of runs that it does
-    /// not name in full.
-    pub fn find_runs(&mut self, runs: impl Fn(RobotId, u16) -> Vec<Stream>) {
-        for received in core::mem::take(&mut self.received_low) {
-            match runs(received.stream.origin, received.stream.epoch as u16)[..] {
-                [] => {}
-                [stream] => self.received.push(Received { stream, ..received }),
-                _ => self.origins = None,
+        for heard in core::mem::take(&mut self.heard) {
+            match heard.find_runs(&newest) {
+                Some(runs) => self.hears.extend(runs),
+                None => self.all_echoes = false,
             }
         }
     }
@@ -413,6 +393,9 @@ impl Request {
             put_varint(&mut content, u64::from(self.next_within_ms));
         }
         put_unless_empty(&mut out, NEXT_WITHIN, &mut content);
+        let heard_at = out.len();
+        let all_heard = put_heard(&mut out, HEARD, &self.hears, heard_at + list_max);
+        let list_max = list_max - (out.len() - heard_at);
         let echoes_fit = self.echoes.len().min(list_max / Echo::BYTES_MAX);
         for echo in &self.echoes[..echoes_fit] {
             content.extend(echo.robot.0.to_le_bytes());
@@ -421,7 +404,7 @@ impl Request {
             put_varint(&mut content, u64::from(echo.age_micros));
         }
         put_unless_empty(&mut out, ECHOES, &mut content);
-        if self.all_echoes && echoes_fit == self.echoes.len() {
+        if self.all_echoes && all_heard && echoes_fit == self.echoes.len() {
             flags |= ALL_ECHOES;
         }
 
@@ -475,43 +458,41 @@ impl Request {
         let half = end.saturating_sub(out.len()) / 2;
         let mut trial = Vec::new();
         let is_urgent = |received: &Received| urgent.iter().any(|urgent| urgent.stream == received.stream);
+        let mut newest = NewestWriter::default();
         let fits = rest
             .iter()
             .filter(|received| !is_urgent(received))
-            .all(|received| put_received(&mut trial, received, self.epochs_low, half));
-        let urgent_end = end.saturating_sub(if fits { trial.len() } else { half });
+            .all(|received| self.put_list(&mut trial, &mut newest, received, half));
+        let urgent_end = end.saturating_sub(if fits { trial.len() + newest.bytes() } else { half });
+        let mut newest = NewestWriter::default();
         let mut named = Vec::with_capacity(urgent.len());
         for received in urgent {
-            if put_received(out, received, self.epochs_low, urgent_end) {
+            if self.put_list(out, &mut newest, received, urgent_end) {
                 named.push(received.stream);
             }
         }
+        newest.finish(out, RECEIVED_NEWEST);
         let OriginRange { first, .. } = self.origins.unwrap_or(OriginRange::all_from(RobotId(0)));
         let mut next = first;
-        // Those of which nothing is missing share a record.
-        let mut upto = Vec::new();
         // Only of lists that are in order can be said how far they go.
         let is_in_order = rest.is_sorted_by_key(|received| received.stream.origin.0.wrapping_sub(first.0));
         for runs in rest.chunk_by(|a, b| a.stream.origin == b.stream.origin) {
             let origin = runs[0].stream.origin;
-            let before = (out.len(), upto.len());
+            if newest.is_full() {
+                newest.finish(out, RECEIVED_NEWEST);
+            }
+            let before = (out.len(), newest.mark());
             let mut all_fit = true;
             for received in runs.iter().filter(|received| !named.contains(&received.stream)) {
-                let room = end.saturating_sub(record_len(upto.len()));
-                all_fit &= match received.without_gap().filter(|_| self.epochs_low) {
-                    Some(newest) => {
-                        put_upto(&mut upto, received.stream, newest, end.saturating_sub(out.len()))
-                    }
-                    None => put_received(out, received, self.epochs_low, room),
-                };
+                all_fit &= self.put_list(out, &mut newest, received, end);
             }
             if !all_fit {
                 if next != first {
                     // It is the first one next time.
                     out.truncate(before.0);
-                    upto.truncate(before.1);
+                    newest.take_back(before.1);
                 }
-                put_unless_empty(out, RECEIVED_UPTO, &mut upto);
+                newest.finish(out, RECEIVED_NEWEST);
                 let last = RobotId(origin.0.wrapping_sub(1));
                 return self
                     .origins
@@ -520,8 +501,25 @@ impl Request {
             }
             next = RobotId(origin.0.wrapping_add(1));
         }
-        put_unless_empty(out, RECEIVED_UPTO, &mut upto);
+        newest.finish(out, RECEIVED_NEWEST);
         self.origins
+    }
+
+    /// Appends a list of held indices, or adds it to those of newest runs, if it fits before `end`; whether it did.
+    fn put_list(
+        &self,
+        out: &mut Vec<u8>,
+        newest: &mut NewestWriter,
+        received: &Received,
+        end: usize,
+    ) -> bool {
+        if self.newest_runs.binary_search(&received.stream).is_err() || !NewestWriter::takes(received) {
+            return put_received(out, received, end.saturating_sub(newest.bytes()));
+        }
+        if newest.is_full() {
+            newest.finish(out, RECEIVED_NEWEST);
+        }
+        newest.push(received, end.saturating_sub(out.len()))
     }
 
     /// Appends the transfers that fit before `end_max`.
@@ -565,27 +563,8 @@ pub(super) fn put_list(
     fits
 }
 
-/// Appends a stream of which packages 1 to `newest` are held to the content of a record, if that fits into `room` then.
-fn put_upto(content: &mut Vec<u8>, stream: Stream, newest: u32, room: usize) -> bool {
-    let before = content.len();
-    put_varint(content, u64::from(stream.origin.0));
-    content.extend((stream.epoch as u16).to_le_bytes());
-    put_varint(content, u64::from(newest));
-    let fits = record_len(content.len()) <= room;
-    if !fits {
-        content.truncate(before);
-    }
-    fits
-}
-
-fn put_received(out: &mut Vec<u8>, received: &Received, epochs_low: bool, end: usize) -> bool {
+fn put_received(out: &mut Vec<u8>, received: &Received, end: usize) -> bool {
     let mut content = Vec::new();
-    let Stream { origin, epoch } = received.stream;
-    if epochs_low && received.in_part.is_none() && !received.is_oldest_wanted && epoch > u64::from(u16::MAX) {
-        put_varint(&mut content, u64::from(origin.0));
-        content.extend((epoch as u16).to_le_bytes());
-        return put_list(out, RECEIVED_LOW, &mut content, received.from, &received.received, end);
-    }
     put_stream(&mut content, received.stream);
     let id = match received.in_part {
         Some(InPart { wants_independent, rest }) => {

@@ -211,4 +211,4 @@ fn nonce(salt: &Salt, recipient: Option<RobotId>, counter: u64) -> XNonce {
     bytes.into()
 }
 
-const _: () = assert!(MAGIC.len() == 2 && WIRE_VERSION == 6 && HEAD_BYTES + STAMP_BYTES + 4 == HEADER_BYTES);
+const _: () = assert!(MAGIC.len() == 2 && WIRE_VERSION == 7 && HEAD_BYTES + STAMP_BYTES + 4 == HEADER_BYTES);

@@ -34,8 +34,10 @@ fn sample() -> Request {
             stamp_low: 0x1234_5678,
             age_micros: 1_000,
         }],
-        epochs_low: false,
-        received_low: Vec::new(),
+        newest_runs: Vec::new(),
+        hears: Vec::new(),
+        received_newest: Vec::new(),
+        heard: Vec::new(),
         received: vec![
             Received { in_part: None, is_oldest_wanted: false, stream, from: 1, received: set(&[(1, 200)]) },
             Received {
@@ -99,7 +101,7 @@ fn resealed(bytes: Vec<u8>) -> Vec<u8> {
 fn a_change_of_the_layout_is_a_change_of_the_version() {
     // If this fails: raise WIRE_VERSION, describe the new layout in LAYOUT and WIRE.md, and put the new pair
     // here.
-    assert_eq!((WIRE_VERSION, crc32fast::hash(LAYOUT.as_bytes())), (6, GOLDEN_LAYOUT));
+    assert_eq!((WIRE_VERSION, crc32fast::hash(LAYOUT.as_bytes())), (7, GOLDEN_LAYOUT));
 }
 
 #[test]
@@ -184,16 +186,16 @@ fn what_cannot_be_a_sealed_datagram_is_refused() {
 
 const SALT: Salt =
     [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 0x77, 0x88, 0x99, 0xaa, 0xbb, 0xcc, 0xdd, 0xee, 0xff, 0];
-const GOLDEN_SEALED: &str = "464d06810201070003000000000000000f0e0d0c0b0a112233445566778899aabbccddeeff000ec28fc9b9ab92a615795081\
+const GOLDEN_SEALED: &str = "464d07810201070003000000000000000f0e0d0c0b0a112233445566778899aabbccddeeff000ec28fc9b9ab92a615795081\
     926e9ce493eed5c508da0ece75dc42ab53eed86ca4c2fd79c94a719fd3e6daa48ee2ade3ebad2889d11d3be007e588ade370\
-    17ceba238429c00021cdf884636d611fe015c3a6073f8ef96054ae76d819bad34821e075a6d7d24a0ee5e3076da2410747";
-const GOLDEN_LAYOUT: u32 = 3_722_007_448;
-const GOLDEN_REQUEST: &str = "464d060102010700030000000000000077665544332211002a0b219a03010a2c01cdab78563412e8070505090100b717060f\
+    17ceba238429c00021cdf884636d611fe015c3a6073f8ef96054ae76d819bad348630bc6140fe09b1c27d85e24dab9554d";
+const GOLDEN_LAYOUT: u32 = 2_847_443_524;
+const GOLDEN_REQUEST: &str = "464d07010201070003000000000000007766554433221100547a5d5f03010a2c01cdab78563412e8070505090100b717060f\
     ac0280e2cfaa06ac02018806000178020607030100c7010210ac0280e2cfaa0605000401009e02c801031607ac0280e2cfaa\
     06c801e807efbeadde280100020300";
 /// Of records 8: one whole, and of the other one flags, holder, upto and since.
 const GOLDEN_LACKS: [&str; 2] = ["0807070300", "0fac02e807bc05"];
-const GOLDEN_PACKAGES_HEADER: &str = "464d06020201070003000000000000007766554433221100";
+const GOLDEN_PACKAGES_HEADER: &str = "464d07020201070003000000000000007766554433221100";
 
 #[test]
 fn a_request_survives_the_wire() {
@@ -433,62 +435,90 @@ proptest! {
     }
 }
 
-/// A request of a crowd, by low epochs, and what of it comes back.
+/// A request of a crowd, newest runs by digests, and what of it comes back.
 fn crowd(robots: u16, bytes_max: usize) -> (Request, Request, Vec<u8>) {
+    let run =
+        |origin| Stream { origin: RobotId(origin), epoch: 7_709_466_304_177_273_941 + u64::from(origin) };
     let list = |origin| Received {
-        stream: Stream { origin: RobotId(origin), epoch: 7_709_466_304_177_273_941 + u64::from(origin) },
+        stream: run(origin),
         is_oldest_wanted: origin == 5,
         in_part: (origin == 6).then_some(InPart { wants_independent: true, rest: None }),
         from: 1,
-        received: if origin % 10 == 9 { set(&[(1, 7), (9, 40)]) } else { set(&[(1, 40)]) },
+        received: match origin % 10 {
+            8 => set(&[]),
+            9 => set(&[(1, 7), (9, 40), (42, 42)]),
+            _ => set(&[(1, 40)]),
+        },
     };
-    let received = (1..=robots).map(list).collect();
-    let request = Request { origins: ALL, epochs_low: true, received, ..Request::default() };
+    let request = Request {
+        origins: ALL,
+        all_echoes: true,
+        received: (1..=robots).map(list).collect(),
+        // Robot 4 is known in a later run than that of which packages are held.
+        newest_runs: (1..=robots).filter(|origin| *origin != 4).map(run).collect(),
+        hears: (1..=robots).filter(|origin| origin % 20 != 3).map(run).collect(),
+        ..Request::default()
+    };
     let (bytes, _) = request.emit_in_order(HEADER, bytes_max, 0);
     let datagram = Datagram::new_checked(&bytes).unwrap();
     let parsed = Request::parse(&datagram, 64).unwrap();
     (request, parsed, bytes)
 }
 
-#[test]
-fn runs_named_by_low_epochs_are_found_where_one_is_known_and_cost_two_fifths() {
-    let (request, mut parsed, bytes) = crowd(50, DATAGRAM_BYTES_MAX);
-    let in_full = Request { epochs_low: false, ..request.clone() }.emit(HEADER, DATAGRAM_BYTES_MAX);
-    println!("lists of 50 runs: {} bytes, {} in full", bytes.len(), in_full.len());
-    assert!(bytes.len() * 5 < in_full.len() * 2, "{} of {}", bytes.len(), in_full.len());
-    let runs = |origin: RobotId, low: u16| -> Vec<Stream> {
-        let known = request.received.iter().map(|received| received.stream);
-        known.filter(|run| run.origin == origin && run.epoch as u16 == low).collect()
-    };
-    parsed.find_runs(|origin, low| if origin.0 == 3 { Vec::new() } else { runs(origin, low) });
-    let by_origin = |received: &Received| received.stream.origin;
-    parsed.received.sort_by_key(by_origin);
-    let known: Vec<Received> =
-        request.received.iter().filter(|list| list.stream.origin.0 != 3).cloned().collect();
-    assert_eq!((parsed.received, parsed.origins), (known, ALL));
-    // Of two runs that end alike it cannot be told which one is meant: nothing is said of what is not named.
-    let (_, mut parsed, _) = crowd(50, DATAGRAM_BYTES_MAX);
-    parsed.find_runs(
-        |origin, low| if origin.0 == 3 { vec![runs(origin, low)[0]; 2] } else { runs(origin, low) },
-    );
-    assert_eq!((parsed.origins, parsed.received.len()), (None, 49));
+/// Who knows the same newest runs as the sender.
+fn knows_all(request: &Request) -> impl Fn(RobotId) -> Option<Stream> {
+    let runs: Vec<Stream> = request.received.iter().map(|received| received.stream).collect();
+    move |robot| runs.iter().find(|run| run.origin == robot).copied()
+}
+
+fn by_origin(mut received: Vec<Received>) -> Vec<Received> {
+    received.sort_by_key(|received| received.stream.origin);
+    received
 }
 
 #[test]
-fn a_request_by_low_epochs_keeps_to_its_room_and_says_which_origins_it_covers() {
-    for bytes_max in 200..700 {
-        let (request, parsed, bytes) = crowd(120, bytes_max);
-        assert!(bytes.len() <= bytes_max);
-        let named = |list: &Received| {
-            let low = parsed.received_low.iter().map(|low| low.stream);
-            let full = parsed.received.iter().map(|full| full.stream);
-            let low =
-                low.filter(|low| low.origin == list.stream.origin && low.epoch == list.stream.epoch & 0xffff);
-            low.chain(full.filter(|full| *full == list.stream)).count()
+fn newest_runs_named_by_digests_are_found_by_who_knows_them_and_cost_a_quarter() {
+    let (request, mut parsed, bytes) = crowd(50, DATAGRAM_BYTES_MAX);
+    let in_full = Request { newest_runs: Vec::new(), ..request.clone() }.emit(HEADER, DATAGRAM_BYTES_MAX);
+    println!("lists of 50 runs: {} bytes, {} in full", bytes.len(), in_full.len());
+    assert!(bytes.len() * 4 < in_full.len() + 4 * 60, "{} of {}", bytes.len(), in_full.len());
+    parsed.find_runs(knows_all(&request), 64);
+    assert_eq!(by_origin(parsed.received.clone()), request.received);
+    assert_eq!((parsed.origins, parsed.all_echoes, &parsed.hears), (ALL, true, &request.hears));
+    assert!(parsed.received_newest.is_empty() && parsed.heard.is_empty());
+}
+
+#[test]
+fn who_knows_another_run_of_one_robot_learns_nothing_of_those_beside_it() {
+    let (request, parsed, _) = crowd(100, DATAGRAM_BYTES_MAX);
+    let known = knows_all(&request);
+    for (other, epoch) in [(10, Some(1)), (10, None), (77, Some(u64::MAX)), (77, None)] {
+        let mut parsed = parsed.clone();
+        let newest = |robot: RobotId| {
+            let stream = known(robot)?;
+            if robot.0 == other { epoch.map(|epoch| Stream { epoch, ..stream }) } else { Some(stream) }
         };
+        parsed.find_runs(newest, 64);
+        assert_eq!((parsed.origins, parsed.all_echoes), (None, false));
+        let of = |robots: &[Stream]| robots.iter().filter(|run| request.hears.contains(run)).count();
+        assert_eq!(of(&parsed.hears), parsed.hears.len(), "nobody who is not heard");
+        assert!((60..70).contains(&parsed.hears.len()), "{} of 95", parsed.hears.len());
+        for received in &parsed.received {
+            assert!(request.received.contains(received) && received.stream.origin.0 != other);
+        }
+        assert!((60..75).contains(&parsed.received.len()), "{} of 100", parsed.received.len());
+    }
+}
+
+#[test]
+fn a_request_by_digests_keeps_to_its_room_and_says_which_origins_it_covers() {
+    for bytes_max in 200..500 {
+        let (request, mut parsed, bytes) = crowd(120, bytes_max);
+        assert!(bytes.len() <= bytes_max);
+        parsed.find_runs(knows_all(&request), 64);
         for list in &request.received {
             assert_eq!(
-                named(list),
+                parsed.received.iter().filter(|read| *read == list).count(),
                 usize::from(parsed.covers(list.stream.origin)),
                 "{list:?} of {bytes_max} bytes"
             );
@@ -498,18 +528,59 @@ fn a_request_by_low_epochs_keeps_to_its_room_and_says_which_origins_it_covers() 
 
 #[test]
 fn a_request_of_the_shortest_lists_holds_no_more_than_is_stated() {
-    let received = (0..120).map(|origin| {
-        let stream = Stream { origin: RobotId(origin), epoch: 1 << 40 };
-        Received { stream, is_oldest_wanted: false, in_part: None, from: 1, received: set(&[(1, 1)]) }
-    });
-    let request = Request { epochs_low: true, received: received.collect(), ..Request::default() };
+    let received: Vec<Received> = (0..250)
+        .map(|origin| {
+            let stream = Stream { origin: RobotId(origin), epoch: 1 << 40 };
+            Received { stream, is_oldest_wanted: false, in_part: None, from: 1, received: set(&[(1, 1)]) }
+        })
+        .collect();
+    let newest_runs = received.iter().map(|received| received.stream).collect();
+    let request = Request { newest_runs, received, ..Request::default() };
     let bytes = request.emit(HEADER, DATAGRAM_BYTES_MAX);
     let mut parsed = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 64).unwrap();
-    assert_eq!(parsed.received_low.len(), 120, "four bytes each: {}", bytes.len());
-    let lists = parsed.received_low.capacity();
-    parsed.find_runs(|origin, _| vec![Stream { origin, epoch: 1 << 40 }]);
-    // While they get their runs, both lists are there; each interval is an allocation of 32 bytes at most.
-    let held = (lists + parsed.received.capacity()) * size_of::<Received>() + 120 * 32;
-    let record = 120 * 4;
-    assert!(held <= 80 * record, "{held} bytes for {record}");
+    parsed.find_runs(|origin| Some(Stream { origin, epoch: 1 << 40 }), 64);
+    assert_eq!(parsed.received.len(), 250, "two bytes each: {}", bytes.len());
+    // While they get their runs, the lists of a record are there twice; each interval is an allocation of 32 bytes at most.
+    let held = (parsed.received.capacity() + 32) * size_of::<Received>() + 250 * 32;
+    assert!(held <= 80 * bytes.len(), "{held} bytes for {}", bytes.len());
+}
+
+proptest! {
+    #[test]
+    fn lists_of_newest_runs_come_back(
+        lists in prop::collection::btree_map(any::<u16>(), (any::<u64>(), prop::collection::vec((1u32.., 0u32..9), 0..20)), 1..120),
+        first in any::<u16>(),
+    ) {
+        let received = lists.iter().map(|(&origin, (epoch, intervals))| {
+            let intervals = intervals.iter().map(|&(low, more)| (low, low.saturating_add(more)));
+            Received {
+                stream: Stream { origin: RobotId(origin), epoch: *epoch },
+                is_oldest_wanted: false,
+                in_part: None,
+                from: 1,
+                received: IntervalSet::from_intervals(1_000, intervals.collect()),
+            }
+        });
+        let mut received: Vec<Received> = received.collect();
+        let mut newest_runs: Vec<Stream> = received.iter().map(|received| received.stream).collect();
+        let hears = newest_runs.clone();
+        newest_runs.retain(|run| run.epoch % 7 != 0);
+        received.sort_by_key(|received| received.stream.origin.0.wrapping_sub(first));
+        let origins = Some(OriginRange::all_from(RobotId(first)));
+        let request = Request { origins, all_echoes: true, received, newest_runs, hears, ..Request::default() };
+        let (bytes, covered) = request.emit_in_order(HEADER, DATAGRAM_BYTES_MAX, 3);
+        let mut read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
+        read.find_runs(knows_all(&request), 1_000);
+        prop_assert!(read.hears.iter().eq(request.hears.iter().take(read.hears.len())));
+        prop_assert_eq!(read.all_echoes, read.hears.len() == request.hears.len());
+        for received in &request.received {
+            let said = read.received.iter().find(|said| said.stream == received.stream);
+            if covered.is_some_and(|covered| covered.contains(received.stream.origin)) {
+                prop_assert!(said.is_some(), "{:?} was not named", received);
+            }
+            if let Some(said) = said {
+                prop_assert_eq!(&said.received, &received.received.within(said.from, u32::MAX));
+            }
+        }
+    }
 }
