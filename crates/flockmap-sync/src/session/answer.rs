@@ -260,7 +260,7 @@ impl Session {
             InFlight::RoundTrip if is_without_stamp => {
                 let newest = newest_that_came[usize::from(sent.is_heard)];
                 newest.is_some_and(|newest| newest.since(sent.at) >= patience)
-                    || (sent.requests >= 2 && now.since(sent.at) >= timeout.max(2 * farthest))
+                    || now.since(sent.at) >= timeout.max(farthest)
             }
             InFlight::RoundTrip => match echo.filter(|(stamp, _)| *stamp >= sent.at) {
                 // The peer has heard something sent with it or later: how long has it waited since?

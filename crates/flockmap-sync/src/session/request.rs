@@ -22,7 +22,7 @@ const REQUEST_BYTES_MIN: usize = 280;
 const SEALED_REQUEST_BYTES_MIN: usize = 299;
 
 /// Peers that are echoed in a whole request of a crowd, in turn, and in a short one.
-const ECHOES_OF_MANY: usize = 8;
+const ECHOES_OF_MANY: usize = 16;
 const ECHOES_OF_MANY_SHORT: usize = 4;
 /// Of so many whole requests of a robot in a crowd one names runs in full.
 const WHOLES_IN_FULL: u32 = 8;

@@ -41,14 +41,15 @@ const PROBE_AFTER: Duration = Duration::from_millis(120);
 const PROBE_LOSS_MIN: u32 = crate::link::LOSS_ONE / 6;
 /// However thin the radio, peers do not lose sight of this robot for longer.
 const BUDGET_PAUSE_MAX: Duration = Duration::from_secs(300);
-/// Short requests take at most one part in so many of what may be sent, and whole ones.
+/// Short requests take at most one part in so many of what may be sent, and whole ones; in a swarm larger than
+/// [`SMALL_SWARM`], where many hear each request, short ones take less.
 const SHORT_SHARE: u64 = 8;
-const WHOLE_SHARE: u64 = 12;
-/// In a swarm larger than [`SMALL_SWARM`], where a request is heard by many.
 const SHORT_SHARE_OF_MANY: u64 = 16;
-/// There, and as long as one comes within this time, whole ones take less: one part in so many.
+const WHOLE_SHARE: u64 = 12;
+/// As long as one comes within this time whole ones take less: one part in so many.
 const RARE_WHOLE_SHARE: u64 = 24;
 const RARE_WHOLE_MAX: Duration = Duration::from_secs(5);
+const RARE_WHOLE_MAX_OF_MANY: Duration = Duration::from_secs(30);
 /// As long as nobody knows what the radio carries, requests of all robots together keep to their share of so many bytes a
 /// second …
 const STARTING_BYTES_PER_S: u32 = 100_000;
@@ -241,11 +242,13 @@ impl Session {
                     rate.map_or(0, |rate| bytes as u64 * share * 1_000_000 / u64::from(rate.max(1))),
                 )
             };
-            match (is_short, self.peers.len() > SMALL_SWARM) {
-                (true, true) => of_share(SHORT_SHARE_OF_MANY),
-                (true, false) => of_share(SHORT_SHARE),
-                (false, true) => of_share(RARE_WHOLE_SHARE),
-                (false, false) => of_share(WHOLE_SHARE).max(of_share(RARE_WHOLE_SHARE).min(RARE_WHOLE_MAX)),
+            let (short_share, rare_max) = match self.peers.len() {
+                0..=SMALL_SWARM => (SHORT_SHARE, RARE_WHOLE_MAX),
+                _ => (SHORT_SHARE_OF_MANY, RARE_WHOLE_MAX_OF_MANY),
+            };
+            match is_short {
+                true => of_share(short_share),
+                false => of_share(WHOLE_SHARE).max(of_share(RARE_WHOLE_SHARE).min(rare_max)),
             }
         };
         let copied = each * copies;
