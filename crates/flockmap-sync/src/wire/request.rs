@@ -303,8 +303,12 @@ impl Request {
             }
         }
         for heard in core::mem::take(&mut self.heard) {
-            match heard.find_runs(&newest) {
-                Some(runs) => self.hears.extend(runs),
+            // In the order in which they are written, so that nobody is named twice.
+            match heard.find_runs(&newest).filter(|runs| self.hears.last() < runs.first()) {
+                Some(runs) => {
+                    self.hears.reserve_exact(runs.len());
+                    self.hears.extend(runs);
+                }
                 None => self.all_echoes = false,
             }
         }

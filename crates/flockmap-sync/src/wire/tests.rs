@@ -545,6 +545,21 @@ fn a_request_of_the_shortest_lists_holds_no_more_than_is_stated() {
     assert!(held <= 80 * bytes.len(), "{held} bytes for {}", bytes.len());
 }
 
+#[test]
+fn who_is_named_again_as_heard_is_left_out() {
+    let runs: Vec<Stream> = (1..=32).map(|id| Stream { origin: RobotId(id), epoch: 1 << 40 }).collect();
+    let once = Request { all_echoes: true, hears: runs.clone(), ..Request::default() };
+    let mut bytes = once.emit(HEADER, DATAGRAM_BYTES_MAX);
+    let record = bytes[HEADER_BYTES + 1..].to_vec();
+    for _ in 0..100 {
+        bytes.extend(&record);
+    }
+    let bytes = seal(bytes);
+    let mut read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 64).unwrap();
+    read.find_runs(|robot| runs.iter().find(|run| run.origin == robot).copied(), 64);
+    assert_eq!((read.hears, read.all_echoes), (runs, false));
+}
+
 proptest! {
     #[test]
     fn lists_of_newest_runs_come_back(
