@@ -11,6 +11,7 @@ mod datagram;
 mod newest;
 mod packages;
 mod path;
+mod received;
 mod request;
 mod sealed;
 
@@ -23,9 +24,8 @@ pub use packages::{
     CONTENTS_BYTES_MAX, Contents, PackagesWriter, asks_for_request, parse_contents, parse_packages,
 };
 pub use path::PathMessage;
-pub use request::{
-    ClockReport, Echo, InPart, OriginRange, Received, Request, RestRequest, SnapshotRequest, TransferProgress,
-};
+pub use received::{InPart, Received, RestRequest};
+pub use request::{ClockReport, Echo, OriginRange, Request, SnapshotRequest, TransferProgress};
 pub use sealed::{
     COUNTER_MAX, OpenedDatagram, SALT_BYTES, SEAL_BYTES, Salt, SealedDatagram, is_sealed, seal_bytes,
     seal_datagram,

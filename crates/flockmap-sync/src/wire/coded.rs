@@ -2,7 +2,7 @@
 
 use super::datagram::{DATAGRAM_BYTES_MAX, Datagram, DatagramError, put_record, record_len};
 use super::packages::PackagesWriter;
-use super::request::{put_stream, read_stream};
+use super::received::{put_stream, read_stream};
 use crate::coded::{Block, PACKAGES_MAX, SYMBOL_NUMBERS, SYMBOL_UNIT};
 use flockmap_codec::bytes::{Reader, put_varint};
 use flockmap_grid::Stream;

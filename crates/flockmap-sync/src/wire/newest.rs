@@ -2,7 +2,7 @@
 //! a crowd nearly everybody knows the newest run of nearly everybody.
 
 use super::datagram::{put_record, record_len};
-use super::request::Received;
+use super::received::Received;
 use crate::IntervalSet;
 use flockmap_codec::bytes::{Reader, put_varint, put_zigzag};
 use flockmap_grid::{RobotId, Stream};

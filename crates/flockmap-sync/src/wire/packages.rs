@@ -3,7 +3,7 @@
 use super::datagram::{
     DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
 };
-use super::request::{put_list, put_stream, read_intervals, read_stream};
+use super::received::{put_list, put_stream, read_intervals, read_stream};
 use crate::IntervalSet;
 use flockmap_codec::Package;
 use flockmap_codec::bytes::{Reader, put_varint};

@@ -1,21 +1,17 @@
 //! REQUEST datagrams: what the sender holds, whom it hears, how far its present-state transfers are.
 
-use super::datagram::{
-    DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, record_len, seal,
-};
+use super::datagram::{DATAGRAM_BYTES_MAX, Datagram, DatagramError, DatagramHeader, Kind, put_record, seal};
 use super::newest::{Heard, NewestWriter, ReceivedNewest, put_heard};
+use super::received::{Received, put_list, put_stream, read_intervals, read_stream};
 use crate::IntervalSet;
-use flockmap_codec::bytes::{Reader, put_varint, put_zigzag, varint_len};
+use flockmap_codec::bytes::{Reader, put_varint, put_zigzag};
 use flockmap_grid::{RobotId, Stamp, Stream};
 
 const ECHOES: u8 = 1;
-const RECEIVED: u8 = 2;
 const TRANSFER: u8 = 3;
 const ORIGINS: u8 = 4;
 const CLOCKS: u8 = 5;
 const SNAPSHOT_REQUEST: u8 = 6;
-const RECEIVED_FROM_OLDEST: u8 = 7;
-const RECEIVED_IN_PART: u8 = 8;
 const NEXT_WITHIN: u8 = 9;
 const RECEIVED_NEWEST: u8 = 10;
 const HEARD: u8 = 11;
@@ -23,11 +19,6 @@ const HEARD: u8 = 11;
 const ALL_ORIGINS: u8 = 1;
 const ALL_ECHOES: u8 = 2;
 
-/// Flags of a list of held indices of a stream in part.
-const FROM_OLDEST: u8 = 1;
-const WANTS_INDEPENDENT: u8 = 2;
-const WANTS_REST: u8 = 4;
-const WANTS_REST_SINCE: u8 = 8;
 const NO_NEW_STREAMS: u8 = 4;
 const IS_SHORT: u8 = 8;
 
@@ -56,21 +47,6 @@ impl Echo {
     pub fn stamp(&self, now: Stamp) -> Stamp {
         now.plus_micros(-i64::from((now.0 as u32).wrapping_sub(self.stamp_low)))
     }
-}
-
-/// The indices that are held of one stream; perhaps none.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Received {
-    /// The stream.
-    pub stream: Stream,
-    /// Earlier runs of this origin are not wanted any more.
-    pub is_oldest_wanted: bool,
-    /// Something of it is lacking.
-    pub in_part: Option<InPart>,
-    /// Nothing is said of indices below this one; 1 if the list is whole.
-    pub from: u32,
-    /// The indices held, none of them below `from`.
-    pub received: IntervalSet,
 }
 
 /// Origins of which a request names every run that the sender holds something of: what it does not name of
@@ -113,26 +89,6 @@ pub struct SnapshotRequest {
     /// The packages: a state that contains one of them is welcome. The sender states them as held, so that
     /// nobody sends them.
     pub undecodable: IntervalSet,
-}
-
-/// Of a stream something is lacking, since there was no room for it, though its packages are stated as held.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct InPart {
-    /// It may be lacking anywhere: of packages that are not independent next to none can be decoded.
-    pub wants_independent: bool,
-    /// All that a robot holds of the stream is wanted from it.
-    pub rest: Option<RestRequest>,
-}
-
-/// From whom the rest of a stream is wanted.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct RestRequest {
-    /// This robot is to give it.
-    pub holder: RobotId,
-    /// A snapshot will do that has packages 1 to this one at least, or a piece of such a state.
-    pub upto: u32,
-    /// What packages 1 to this one say has come already; 0: nothing.
-    pub since: u32,
 }
 
 /// How far the receipt of a snapshot is.
@@ -238,8 +194,9 @@ impl Request {
             let mut reader = Reader::new(content);
             let (read, what) = match id {
                 ECHOES => (request.read_echoes(&mut reader), "echo"),
-                RECEIVED | RECEIVED_FROM_OLDEST | RECEIVED_IN_PART => {
-                    (request.read_received(&mut reader, id, intervals_max), "list of held indices")
+                _ if Received::is_of(id) => {
+                    let read = Received::read(&mut reader, id, intervals_max);
+                    (read.map(|list| request.received.push(list)), "list of held indices")
                 }
                 RECEIVED_NEWEST => {
                     let read = ReceivedNewest::read(&mut reader);
@@ -269,27 +226,6 @@ impl Request {
                 age_micros: reader.varint_u32()?,
             });
         }
-        Some(())
-    }
-
-    fn read_received(&mut self, reader: &mut Reader<'_>, id: u8, intervals_max: usize) -> Option<()> {
-        let stream = read_stream(reader)?;
-        let mut is_oldest_wanted = id == RECEIVED_FROM_OLDEST;
-        let mut in_part = None;
-        if id == RECEIVED_IN_PART {
-            let flags = reader.u8()?;
-            is_oldest_wanted = flags & FROM_OLDEST != 0;
-            let rest = if flags & WANTS_REST == 0 {
-                None
-            } else {
-                let (holder, upto) = (RobotId(reader.varint_u16()?), reader.varint_u32()?);
-                let since = if flags & WANTS_REST_SINCE == 0 { 0 } else { reader.varint_u32()? };
-                Some(RestRequest { holder, upto, since })
-            };
-            in_part = Some(InPart { wants_independent: flags & WANTS_INDEPENDENT != 0, rest });
-        }
-        let (from, received) = read_intervals(reader, intervals_max)?;
-        self.received.push(Received { stream, is_oldest_wanted, in_part, from, received });
         Some(())
     }
 
@@ -518,7 +454,7 @@ impl Request {
         end: usize,
     ) -> bool {
         if self.newest_runs.binary_search(&received.stream).is_err() || !NewestWriter::takes(received) {
-            return put_received(out, received, end.saturating_sub(newest.bytes()));
+            return received.put(out, end.saturating_sub(newest.bytes()));
         }
         if newest.is_full() {
             newest.finish(out, RECEIVED_NEWEST);
@@ -546,112 +482,4 @@ fn put_unless_empty(out: &mut Vec<u8>, id: u8, content: &mut Vec<u8>) {
         put_record(out, id, content);
         content.clear();
     }
-}
-
-/// Ends a record with a list of intervals, as far as it fits before `end`; whether anything of it did.
-/// Empties `content`.
-pub(super) fn put_list(
-    out: &mut Vec<u8>,
-    id: u8,
-    content: &mut Vec<u8>,
-    from: u32,
-    set: &IntervalSet,
-    end: usize,
-) -> bool {
-    let room = end.saturating_sub(out.len() + record_len(content.len()) + 2);
-    let fits = put_intervals(content, from, set, room);
-    if fits {
-        put_record(out, id, content);
-    }
-    content.clear();
-    fits
-}
-
-fn put_received(out: &mut Vec<u8>, received: &Received, end: usize) -> bool {
-    let mut content = Vec::new();
-    put_stream(&mut content, received.stream);
-    let id = match received.in_part {
-        Some(InPart { wants_independent, rest }) => {
-            let flag = |is_set, flag| if is_set { flag } else { 0 };
-            content.push(
-                flag(received.is_oldest_wanted, FROM_OLDEST)
-                    | flag(wants_independent, WANTS_INDEPENDENT)
-                    | flag(rest.is_some(), WANTS_REST)
-                    | flag(rest.is_some_and(|rest| rest.since > 0), WANTS_REST_SINCE),
-            );
-            if let Some(RestRequest { holder, upto, since }) = rest {
-                put_varint(&mut content, u64::from(holder.0));
-                put_varint(&mut content, u64::from(upto));
-                if since > 0 {
-                    put_varint(&mut content, u64::from(since));
-                }
-            }
-            RECEIVED_IN_PART
-        }
-        None if received.is_oldest_wanted => RECEIVED_FROM_OLDEST,
-        None => RECEIVED,
-    };
-    put_list(out, id, &mut content, received.from, &received.received, end)
-}
-
-pub(super) fn read_stream(reader: &mut Reader<'_>) -> Option<Stream> {
-    Some(Stream { origin: RobotId(reader.varint_u16()?), epoch: reader.varint()? })
-}
-
-pub(super) fn put_stream(out: &mut Vec<u8>, stream: Stream) {
-    put_varint(out, u64::from(stream.origin.0));
-    put_varint(out, stream.epoch);
-}
-
-/// Reads `from` and the intervals after it, to the end of the record.
-pub(super) fn read_intervals(reader: &mut Reader<'_>, intervals_max: usize) -> Option<(u32, IntervalSet)> {
-    let mut from = reader.varint_u32()?;
-    let mut intervals = Vec::new();
-    let mut lowest = from;
-    while !reader.is_empty() {
-        let low = lowest.checked_add(reader.varint_u32()?)?;
-        let high = low.checked_add(reader.varint_u32()?)?;
-        intervals.push((low, high));
-        if reader.is_empty() {
-            break;
-        }
-        lowest = high.checked_add(2)?;
-    }
-    let mut set = IntervalSet::from_intervals(intervals_max, intervals);
-    from = from.max(set.keep_newest(intervals_max));
-    Some((from, set))
-}
-
-/// Writes `from` and the intervals into at most `room` bytes, raising `from` if only the newest intervals fit.
-/// `false` if not even the newest interval fits of a set that has one.
-fn put_intervals(out: &mut Vec<u8>, from: u32, set: &IntervalSet, room: usize) -> bool {
-    let intervals = set.intervals();
-    // From the newest down: how many fit. The gap below the first one is counted from `from`, which is raised
-    // to the end of the one before; that is one more than between two, and may take a byte more.
-    let mut used = 5;
-    let mut first = intervals.len();
-    while first > 0 {
-        let (low, high) = intervals[first - 1];
-        let cost = |lowest: u32| {
-            varint_len(u64::from(low.saturating_sub(lowest))) + varint_len(u64::from(high - low))
-        };
-        let before = first.checked_sub(2).map(|before| intervals[before].1);
-        if used + cost(before.map_or(from, |high| high + 1)) > room {
-            break;
-        }
-        used += cost(before.map_or(from, |high| high + 2));
-        first -= 1;
-    }
-    if room < 5 || (first == intervals.len() && first > 0) {
-        return false;
-    }
-    let from = if first == 0 { from } else { intervals[first - 1].1 + 1 };
-    put_varint(out, u64::from(from));
-    let mut lowest = from;
-    for &(low, high) in &intervals[first..] {
-        put_varint(out, u64::from(low.saturating_sub(lowest)));
-        put_varint(out, u64::from(high - low));
-        lowest = high.saturating_add(2);
-    }
-    true
 }
