@@ -246,9 +246,10 @@ impl Session {
         echo: Option<(Stamp, Duration)>,
     ) {
         let timeout = self.round_trip_timeout(id);
-        let farthest = self.peers.values().map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
-        // A crowd echoes few stamps.
+        // A crowd echoes few stamps, so that the round trip to one peer alone may be long out of date.
         let is_without_stamp = echo.is_none() && self.peers.len() > SMALL_SWARM;
+        let others = self.peers.values().filter(|_| is_without_stamp);
+        let farthest = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let patience = self.config.patience(peer.round_trip.variation());
         // What it says is as old as its request queued, and what was sent before that queued about as long.

@@ -2,7 +2,7 @@
 //! a crowd nearly everybody knows the newest run of nearly everybody.
 
 use super::datagram::{put_record, record_len};
-use super::received::Received;
+use super::received::{Received, put_gaps};
 use crate::IntervalSet;
 use flockmap_codec::bytes::{Reader, put_varint, put_zigzag};
 use flockmap_grid::{RobotId, Stream};
@@ -12,7 +12,7 @@ const RUNS_MAX: usize = 32;
 /// Lists of more intervals are named in full, so that they can be cut.
 const INTERVALS_MAX: usize = 16;
 
-/// What holds for the runs that a reader takes these robots to fly.
+/// CRC-32 of runs in their order. A reader reckons it with the runs that it knows as the newest.
 fn digest(runs: impl Iterator<Item = Stream>) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     for Stream { origin, epoch } in runs {
@@ -150,12 +150,7 @@ impl NewestWriter {
             &[(1, newest)] => put_varint(&mut self.lists, u64::from(newest) << 1),
             intervals => {
                 put_varint(&mut self.lists, ((intervals.len() as u64) << 1) | 1);
-                let mut lowest = 1;
-                for &(low, high) in intervals {
-                    put_varint(&mut self.lists, u64::from(low - lowest));
-                    put_varint(&mut self.lists, u64::from(high - low));
-                    lowest = high.saturating_add(2);
-                }
+                put_gaps(&mut self.lists, 1, intervals);
             }
         }
         self.runs.push(received.stream);

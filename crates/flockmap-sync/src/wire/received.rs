@@ -14,6 +14,7 @@ const FROM_OLDEST: u8 = 1;
 const WANTS_INDEPENDENT: u8 = 2;
 const WANTS_REST: u8 = 4;
 const WANTS_REST_SINCE: u8 = 8;
+
 /// The indices that are held of one stream; perhaps none.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Received {
@@ -177,11 +178,15 @@ fn put_intervals(out: &mut Vec<u8>, from: u32, set: &IntervalSet, room: usize) -
     }
     let from = if first == 0 { from } else { intervals[first - 1].1 + 1 };
     put_varint(out, u64::from(from));
-    let mut lowest = from;
-    for &(low, high) in &intervals[first..] {
+    put_gaps(out, from, &intervals[first..]);
+    true
+}
+
+/// Writes gap and length of each interval, none of which begins below `lowest`.
+pub(super) fn put_gaps(out: &mut Vec<u8>, mut lowest: u32, intervals: &[(u32, u32)]) {
+    for &(low, high) in intervals {
         put_varint(out, u64::from(low.saturating_sub(lowest)));
         put_varint(out, u64::from(high - low));
         lowest = high.saturating_add(2);
     }
-    true
 }
