@@ -12,9 +12,12 @@ use std::collections::{BTreeMap, VecDeque};
 const RECENT_MAX: usize = 256;
 /// Intervals of what went out, of each stream.
 const SENT_INTERVALS_MAX: usize = 256;
-/// Beyond a small swarm a repair waits for what others lack: so long times the square of the number of peers.
+/// Beyond a small swarm a repair waits for what others lack: so long times the square of the number of peers …
 const GATHERING: Duration = Duration::from_micros(100);
 const GATHERING_MAX: Duration = Duration::from_secs(1);
+/// … and on a thin radio for as long as so many bytes take at this robot's rate.
+const GATHERING_BYTES: u64 = 614;
+const GATHERING_THIN_MAX: Duration = Duration::from_secs(5);
 
 /// Packages and chunks that went out to everyone. Memory: 24 KiB, and 4 KiB for each stream.
 #[derive(Debug)]
@@ -77,9 +80,12 @@ impl Broadcasts {
     }
 
     /// Something got lost: a crowd may lack other packages too, which the same datagram can repair.
-    pub(crate) fn note_loss(&mut self, now: Stamp, peers: usize) {
+    pub(crate) fn note_loss(&mut self, now: Stamp, peers: usize, bytes_per_s: Option<u32>) {
         if peers > SMALL_SWARM && self.repairs_at <= now {
-            self.repairs_at = now.plus((GATHERING * (peers * peers) as u32).min(GATHERING_MAX));
+            let gathering = (GATHERING * (peers * peers) as u32).min(GATHERING_MAX);
+            let micros = bytes_per_s.map_or(0, |rate| GATHERING_BYTES * 1_000_000 / u64::from(rate.max(1)));
+            let thin = Duration::from_micros(micros).min(GATHERING_THIN_MAX);
+            self.repairs_at = now.plus(gathering.max(thin));
         }
     }
 

@@ -18,7 +18,7 @@ const TIMEOUT_MIN: Duration = Duration::from_millis(20);
 /// Samples out of this range come of a clock that jumped.
 const SAMPLE_MAX: Duration = Duration::from_secs(60);
 /// A slow radio with a long queue is not a lossy one.
-const TIMEOUT_MAX: Duration = Duration::from_secs(30);
+pub(crate) const TIMEOUT_MAX: Duration = Duration::from_secs(30);
 
 impl RoundTrip {
     pub(crate) const fn new(initial: Duration) -> Self {

@@ -156,8 +156,8 @@ impl Outbox {
     }
 
     /// As [`Self::wait`], for packages.
-    pub(crate) fn wait_with_packages(&mut self, now: Stamp, bytes: usize) -> Option<Stamp> {
-        let echo = self.rate.as_ref().and_then(|rate| rate.wait_for_echo(now, bytes));
+    pub(crate) fn wait_with_packages(&mut self, now: Stamp, bytes: usize, peers: usize) -> Option<Stamp> {
+        let echo = self.rate.as_ref().and_then(|rate| rate.wait_for_echo(now, bytes, peers));
         self.wait(now, bytes).max(echo)
     }
 

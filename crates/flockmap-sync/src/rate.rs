@@ -18,6 +18,7 @@ mod sent_log;
 pub(crate) use queueing::{Queued, QueueingDelays};
 
 use crate::pacer::{TokenBucket, burst_bytes};
+use crate::peer::SMALL_SWARM;
 use capacity::{Arrived, BYTES_PER_S_MAX, Capacity, FULL_DATAGRAM, SECOND, per_second};
 use core::time::Duration;
 use flockmap_grid::Stamp;
@@ -38,6 +39,9 @@ const UNECHOED_MIN: u64 = 8_000;
 /// Beyond that, so many for each second since the newest that has arrived was sent, so that nothing ends where no peer says
 /// anything, or late.
 const UNHEARD_BYTES_PER_S: u64 = 1_300;
+/// Of a crowd each gets a part of both unless others' datagrams are heard that hardly queued: of so many robots.
+const UNECHOED_ROBOTS: u64 = 4;
+const UNECHOED_LEAST: u64 = 1_300;
 /// The radio may be full if nothing that was sent within so long is known to have arrived …
 const ECHO_PATIENCE: i64 = 2 * SECOND;
 /// … and more than this is out without an echo: a few requests always are.
@@ -150,6 +154,10 @@ pub(crate) struct Rate {
     /// Bytes sent up to the newest own datagram of which a peer said that it has arrived, and when that one was sent.
     echoed: u64,
     echoed_upto: Option<Stamp>,
+    /// For how long datagrams of other robots queued lately, in microseconds, smoothed over eight of them.
+    queued: Option<i64>,
+    /// Not a third of what the radio carried when a queue stood last is on the air.
+    is_idle: bool,
     /// Bytes of other robots heard: one of so many that they send.
     heard: u64,
     heard_of: i64,
@@ -184,6 +192,8 @@ impl Rate {
             delivery_rate: None,
             echoed: 0,
             echoed_upto: None,
+            queued: None,
+            is_idle: false,
             heard: 0,
             heard_of: 1,
             window_bytes: UNECHOED_MIN,
@@ -192,11 +202,19 @@ impl Rate {
 
     /// `None` if a datagram of packages may be sent as far as it is known what has arrived of those before, else when that
     /// is to be looked at again.
-    pub(crate) fn wait_for_echo(&self, now: Stamp, bytes: usize) -> Option<Stamp> {
+    pub(crate) fn wait_for_echo(&self, now: Stamp, bytes: usize, peers: usize) -> Option<Stamp> {
         let out = self.log.bytes - self.echoed + bytes as u64;
         let since = self.echoed_upto.map_or(0, |upto| now.micros_since(upto).clamp(0, 1 << 40) as u64);
-        let beyond = UNHEARD_BYTES_PER_S * since / SECOND as u64;
-        (out > self.unechoed_max() + beyond).then(|| now.plus(ECHO_PAUSE))
+        let is_free = self.queued.is_some_and(|queued| queued < TARGET);
+        let (least, beyond) = match peers as u64 {
+            peers if self.in_slow_start() && peers > SMALL_SWARM as u64 && !is_free => (
+                (UNECHOED_MIN * UNECHOED_ROBOTS / peers).max(UNECHOED_LEAST),
+                UNHEARD_BYTES_PER_S * UNECHOED_ROBOTS / peers,
+            ),
+            _ => (UNECHOED_MIN, UNHEARD_BYTES_PER_S),
+        };
+        let out_max = self.unechoed_max() - UNECHOED_MIN + least + beyond * since / SECOND as u64;
+        (out > out_max).then(|| now.plus(ECHO_PAUSE))
     }
 
     /// Whether it is time to ask what has arrived, with so many bytes more.
@@ -215,6 +233,17 @@ impl Rate {
     /// No queue stood yet.
     pub(crate) const fn in_slow_start(&self) -> bool {
         self.began_at.is_none()
+    }
+
+    /// When the newest own datagram was sent of which a peer said that it has arrived, or the first one; and for how long
+    /// datagrams of others queued lately.
+    pub(crate) fn queue(&self) -> (Option<Stamp>, Duration) {
+        (self.echoed_upto, Duration::from_micros(self.queued.unwrap_or(0) as u64))
+    }
+
+    /// Whether hardly anything is on the air.
+    pub(crate) const fn is_idle(&self) -> bool {
+        self.is_idle
     }
 
     /// Whether nothing says that a queue stands: a peer has said of nearly all that was sent that it has arrived, or of
@@ -254,6 +283,10 @@ impl Rate {
     /// A datagram of another robot was heard.
     pub(crate) fn note_heard(&mut self, now: Stamp, heard: Heard) {
         self.heard += heard.bytes as u64;
+        if let Some(queued) = heard.queued {
+            let queued = queued.beyond_base.max(0);
+            self.queued = Some(self.queued.map_or(queued, |mean| mean + (queued - mean) / 8));
+        }
         if heard.queued.is_some_and(|queued| queued.all < 2 * TARGET) {
             self.free_at = now;
         }
@@ -365,12 +398,14 @@ impl Rate {
             (own.max(share) * part / 100).min(before).max(least_share.min(2 * before))
         } else if (is_used || before < self.carried_when_full / robots) && now >= self.cross_traffic_until {
             let more = if self.in_slow_start() { before } else { before / 8 + 4 };
-            // What the radio carried before and does not carry now is shared by those who send.
+            // What the radio carried before and does not carry now is shared by those who send: in a crowd by few.
             let unused = self.carried_when_full * 9 / 10 - carried;
-            before + more + 2 * unused.max(0) / robots
+            let part = if peers > SMALL_SWARM as i64 { 4 } else { 2 };
+            before + more + part * unused.max(0) / robots
         } else {
             before
         };
+        self.is_idle = !self.queue_stands && 3 * carried < self.carried_when_full;
         if self.queue_stands {
             self.carried_when_full = carried;
             self.began_at.get_or_insert(now);

@@ -171,7 +171,7 @@ impl Link {
         for number in (0..count).map(|k| (k + first) % count) {
             let now = self.robots[number].now(self.now);
             while self.robots[number].rate.wait(now, BYTES).is_none()
-                && self.robots[number].rate.wait_for_echo(now, BYTES).is_none()
+                && self.robots[number].rate.wait_for_echo(now, BYTES, 1).is_none()
             {
                 let robot = &mut self.robots[number];
                 // Before anything else each says hello.

@@ -168,7 +168,7 @@ fn arrival(sent: i64, now: i64) -> Arrival {
 /// Sends full datagrams until the rate says wait for an echo; how many.
 fn send_all(rate: &mut Rate, now: Stamp) -> u64 {
     let mut sent = 0;
-    while rate.wait_for_echo(now, 1_000).is_none() {
+    while rate.wait_for_echo(now, 1_000, 1).is_none() {
         rate.spend(now, 1_000);
         sent += 1;
     }

@@ -5,9 +5,10 @@ use super::Session;
 use super::snapshot::OFFER_PAUSE;
 use crate::config::ms;
 use crate::item::Item;
+use crate::link::TIMEOUT_MAX;
 use crate::outbox::Outbox;
 use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, SMALL_SWARM, Sending, SentPackage};
-use crate::rate::Arrival;
+use crate::rate::{Arrival, Rate};
 use crate::timers::Timer;
 use crate::wire::{DatagramHeader, Request, TransferProgress};
 use crate::{Cast, InFlight, IntervalSet, Relay};
@@ -36,7 +37,11 @@ impl Session {
             self.report.counters.stale_requests += 1;
             return;
         }
+        let was_unheard = self.is_unheard();
         let echo = self.take_echoes(now, header, request);
+        if was_unheard && !self.is_unheard() {
+            self.greet(now);
+        }
         self.count_relays(Some(id));
         self.take_holdings(now, header, request);
         self.settle_in_flight(now, id, request, echo);
@@ -89,6 +94,7 @@ impl Session {
         header: &DatagramHeader,
         request: &Request,
     ) -> Option<(Stamp, Duration)> {
+        let is_crowd = self.peers.len() > SMALL_SWARM;
         let peer = self.peers.get_mut(&header.sender.origin)?;
         peer.request = Some((header.stamp, now));
         peer.plan_anew();
@@ -115,7 +121,13 @@ impl Session {
         let (sent, age) = (echo.stamp(now), Duration::from_micros(echo.age_micros.into()));
         if let Some(round_trip) = now.since(sent).checked_sub(age) {
             peer.round_trip.sample(round_trip);
+            // A crowd echoes few stamps, and on a medium that all share the queue is the same for all.
+            let others = self.peers.iter_mut().filter(|(id, _)| **id != header.sender.origin);
+            for (_, other) in others.filter(|_| is_crowd && self.config.cast == Cast::Broadcast) {
+                other.round_trip.sample(round_trip);
+            }
         }
+        let peer = self.peers.get_mut(&header.sender.origin)?;
         let arrival = Arrival { sent, arrived: header.stamp.plus_micros(-i64::from(echo.age_micros)) };
         let queued = peer.queueing.sample_to(now, arrival.arrived.micros_since(sent));
         let before = peer.arrival.replace(arrival);
@@ -246,17 +258,23 @@ impl Session {
         echo: Option<(Stamp, Duration)>,
     ) {
         let timeout = self.round_trip_timeout(id);
-        // A crowd echoes few stamps, so that the round trip to one peer alone may be long out of date.
-        let is_without_stamp = echo.is_none() && self.peers.len() > SMALL_SWARM;
-        let others = self.peers.values().filter(|_| is_without_stamp);
+        let is_crowd = self.peers.len() > SMALL_SWARM;
+        let is_without_stamp = echo.is_none() && is_crowd;
+        let others = self.peers.values().filter(|_| is_crowd);
         let farthest = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
+        let queue = self.outbox.rate.as_ref().filter(|_| is_crowd).map(Rate::queue);
+        let (arrived_upto, queued_in) = queue.unwrap_or_default();
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let patience = self.config.patience(peer.round_trip.variation());
         // What it says is as old as its request queued, and what was sent before that queued about as long.
-        let timeout = timeout + 2 * peer.queued_in;
+        let timeout = timeout + 2 * peer.queued_in.max(queued_in);
         let newest_that_came = if is_without_stamp { peer.newest_that_came() } else { [None; 2] };
         let is_lost = |sent: &SentPackage| match self.config.in_flight {
             InFlight::PreviousRequest => sent.requests >= 2,
+            // Nobody of a crowd has said that something sent later has come: it may be in the queue.
+            InFlight::RoundTrip if arrived_upto.is_some_and(|upto| sent.at > upto) => {
+                now.since(sent.at) >= timeout.max(farthest)
+            }
             // What has come shows what was lost before it (as in RACK, RFC 8985).
             InFlight::RoundTrip if is_without_stamp => {
                 let newest = newest_that_came[usize::from(sent.is_heard)];
@@ -337,7 +355,8 @@ impl Session {
         self.report.counters.confirmed += confirmed;
         self.report.counters.lost += lost;
         if lost > 0 {
-            self.outbox.broadcasts.note_loss(now, self.peers.len());
+            let rate = self.radio_bytes_per_s();
+            self.outbox.broadcasts.note_loss(now, self.peers.len(), rate);
         }
         let Some(peer) = self.peers.get_mut(&id) else { return };
         peer.loss.sample(confirmed, lost);
@@ -351,7 +370,12 @@ impl Session {
         let measured = |peer: &Peer| peer.round_trip.mean().map(|_| peer.round_trip.timeout());
         let own = self.peers.get(&id).and_then(measured);
         let farthest = || self.peers.values().filter_map(measured).max();
-        own.or_else(farthest).unwrap_or_else(|| ms(self.config.round_trip_initial_ms))
+        let unknown = || match self.peers.len() {
+            0..=SMALL_SWARM => ms(self.config.round_trip_initial_ms),
+            // Of many some would have said what has come if nothing queued.
+            _ => TIMEOUT_MAX,
+        };
+        own.or_else(farthest).unwrap_or_else(unknown)
     }
 
     /// For a relay that is not first in line: what was missing at a request one relay delay ago, and still is.

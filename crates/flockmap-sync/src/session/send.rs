@@ -103,9 +103,10 @@ impl Session {
             mended = Some((mending.stream, mending.mended));
         }
         let cost = writer.bytes() + self.overhead(Kind::Packages);
+        let peers = self.peers.len();
         let Some(peer) = self.peers.get_mut(&id) else { return Attempt::Nothing };
         let link = peer.pacer.as_mut().and_then(|pacer| pacer.wait(now, cost));
-        let radio = self.outbox.wait_with_packages(now, cost);
+        let radio = self.outbox.wait_with_packages(now, cost, peers);
         if let Some(ready) = link.max(radio) {
             self.schedule.timers.set_sooner(Timer::Budget, ready);
             self.report.counters.delayed_by_budget += 1;

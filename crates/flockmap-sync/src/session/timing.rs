@@ -4,7 +4,7 @@ use super::Session;
 use crate::Cast;
 use crate::config::ms;
 use crate::event::Destination;
-use crate::peer::{Peer, SMALL_SWARM};
+use crate::peer::{LARGE_CROWD, Peer, SMALL_SWARM};
 use crate::rate::Rate;
 use crate::schedule::Schedule;
 use crate::timers::Timer;
@@ -45,11 +45,17 @@ const BUDGET_PAUSE_MAX: Duration = Duration::from_secs(300);
 /// [`SMALL_SWARM`], where many hear each request, short ones take less.
 const SHORT_SHARE: u64 = 8;
 const SHORT_SHARE_OF_MANY: u64 = 16;
+const SHORT_SHARE_OF_LARGE_CROWD: u64 = 32;
 const WHOLE_SHARE: u64 = 12;
 /// As long as one comes within this time whole ones take less: one part in so many.
 const RARE_WHOLE_SHARE: u64 = 24;
 const RARE_WHOLE_MAX: Duration = Duration::from_secs(5);
 const RARE_WHOLE_MAX_OF_MANY: Duration = Duration::from_secs(30);
+/// Where hardly anything else is on the air, what is missing is not known to be: then requests of a crowd take so many times
+/// their share.
+const IDLE_TIMES: u64 = 3;
+/// In a crowd so many requests go out before somebody says that it hears this robot; then one in each idle period.
+const UNHEARD_REQUESTS: usize = 2;
 /// As long as nobody knows what the radio carries, requests of all robots together keep to their share of so many bytes a
 /// second …
 const STARTING_BYTES_PER_S: u32 = 100_000;
@@ -193,6 +199,14 @@ impl Session {
     }
 
     pub(super) fn request_due(&mut self, now: Stamp) -> bool {
+        if self.is_unheard() && self.schedule.count >= UNHEARD_REQUESTS {
+            let until = self.schedule.last.plus(ms(self.config.request_period_idle_ms));
+            for timer in Timer::REQUESTS.into_iter().filter(|_| until > now) {
+                if self.schedule.timers.is_due(timer, now) {
+                    self.schedule.timers.set(timer, until);
+                }
+            }
+        }
         if self.schedule.timers.is_due(Timer::Gap, now) && !self.has_gap(now) {
             self.schedule.timers.stop(Timer::Gap);
             self.schedule.gap_tries = 0;
@@ -237,13 +251,17 @@ impl Session {
         is_short: bool,
     ) -> Duration {
         let pause = |bytes: usize, rate: Option<u32>| {
+            let is_idle = |rate: &Rate| self.peers.len() > SMALL_SWARM && rate.is_idle();
+            let times = if self.outbox.rate.as_ref().is_some_and(is_idle) { IDLE_TIMES } else { 1 };
             let of_share = |share: u64| {
+                let share = share / times;
                 Duration::from_micros(
                     rate.map_or(0, |rate| bytes as u64 * share * 1_000_000 / u64::from(rate.max(1))),
                 )
             };
             let (short_share, rare_max) = match self.peers.len() {
                 0..=SMALL_SWARM => (SHORT_SHARE, RARE_WHOLE_MAX),
+                peers if peers > LARGE_CROWD => (SHORT_SHARE_OF_LARGE_CROWD, RARE_WHOLE_MAX_OF_MANY),
                 _ => (SHORT_SHARE_OF_MANY, RARE_WHOLE_MAX_OF_MANY),
             };
             match is_short {
@@ -258,6 +276,15 @@ impl Session {
         let idle = ms(self.config.request_period_idle_ms);
         let full = if self.may_be_full(now) { starting(FULL_BYTES_PER_S).min(idle) } else { Duration::ZERO };
         radio.max(full).max(pause(each, self.config.link_bytes_per_s)).min(BUDGET_PAUSE_MAX)
+    }
+
+    /// Whether nobody of a crowd has said yet that it hears this robot, and nothing is known of the radio: what is said
+    /// again and again may fill it.
+    pub(super) fn is_unheard(&self) -> bool {
+        let own = self.identity.own.origin;
+        self.peers.len() > SMALL_SWARM
+            && self.outbox.rate.as_ref().is_some_and(Rate::in_slow_start)
+            && !self.peers.values().any(|peer| peer.hears(own))
     }
 
     /// Whether nothing is known of the radio, and it may be full.
