@@ -2,8 +2,8 @@
 //! sent to everyone.
 
 use crate::IntervalSet;
+use crate::crowd::SMALL_SWARM;
 use crate::item::Item;
-use crate::peer::SMALL_SWARM;
 use core::time::Duration;
 use flockmap_grid::{RobotId, Stamp, Stream};
 use std::collections::{BTreeMap, VecDeque};

@@ -11,6 +11,7 @@ mod clocks;
 mod coded;
 mod config;
 mod counters;
+mod crowd;
 mod event;
 mod identity;
 mod inbox;

@@ -19,10 +19,6 @@ use flockmap_grid::{RobotId, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// Peers of a small swarm: of more, what each sends adds up on the radio.
-pub(crate) const SMALL_SWARM: usize = 8;
-/// With more than these, one request of each already takes seconds of a thin radio.
-pub(crate) const LARGE_CROWD: usize = 24;
 /// Intervals kept of the origins that a peer has covered.
 const ORIGIN_INTERVALS_MAX: usize = 256;
 /// Runs noted that a peer holds and that have no place here.

@@ -17,8 +17,8 @@ mod sent_log;
 
 pub(crate) use queueing::{Queued, QueueingDelays};
 
+use crate::crowd::SMALL_SWARM;
 use crate::pacer::{TokenBucket, burst_bytes};
-use crate::peer::SMALL_SWARM;
 use capacity::{Arrived, BYTES_PER_S_MAX, Capacity, FULL_DATAGRAM, SECOND, per_second};
 use core::time::Duration;
 use flockmap_grid::Stamp;

@@ -4,10 +4,11 @@
 use super::Session;
 use super::snapshot::OFFER_PAUSE;
 use crate::config::ms;
+use crate::crowd::SMALL_SWARM;
 use crate::item::Item;
 use crate::link::TIMEOUT_MAX;
 use crate::outbox::Outbox;
-use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, SMALL_SWARM, Sending, SentPackage};
+use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, Sending, SentPackage};
 use crate::rate::{Arrival, Rate};
 use crate::timers::Timer;
 use crate::wire::{DatagramHeader, Request, TransferProgress};

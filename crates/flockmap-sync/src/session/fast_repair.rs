@@ -4,10 +4,11 @@
 
 use super::Session;
 use crate::config::ms;
+use crate::crowd::SMALL_SWARM;
 use crate::event::{Destination, Transmit};
 use crate::item::Item;
 use crate::link::LOSS_ONE;
-use crate::peer::{Peer, SMALL_SWARM};
+use crate::peer::Peer;
 use crate::store::Store;
 use crate::timers::Timer;
 use crate::wire::{Kind, Request};

@@ -1,8 +1,8 @@
 //! Requests: what they say.
 
 use super::Session;
+use crate::crowd::SMALL_SWARM;
 use crate::event::{Destination, Transmit};
-use crate::peer::SMALL_SWARM;
 use crate::timers::Timer;
 use crate::wire::{
     ClockReport, Echo, Kind, OriginRange, Received, Request, SnapshotRequest, TransferProgress,

@@ -2,9 +2,9 @@
 
 use super::Session;
 use crate::Cast;
+use crate::crowd::SMALL_SWARM;
 use crate::event::{Destination, Transmit};
 use crate::item::Item;
-use crate::peer::SMALL_SWARM;
 use crate::timers::Timer;
 use crate::wire::{Kind, PackagesWriter};
 use flockmap_grid::{RobotId, Stamp, Stream};

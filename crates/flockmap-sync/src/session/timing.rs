@@ -3,8 +3,9 @@
 use super::Session;
 use crate::Cast;
 use crate::config::ms;
+use crate::crowd::{LARGE_CROWD, SMALL_SWARM};
 use crate::event::Destination;
-use crate::peer::{LARGE_CROWD, Peer, SMALL_SWARM};
+use crate::peer::Peer;
 use crate::rate::Rate;
 use crate::schedule::Schedule;
 use crate::timers::Timer;
