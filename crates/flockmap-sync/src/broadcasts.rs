@@ -108,3 +108,22 @@ fn push_recent<T>(list: &mut VecDeque<T>, newest: T) {
     }
     list.push_back(newest);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_crowd_gathers_losses_and_for_longer_on_a_thin_radio() {
+        let gathered = |peers, bytes_per_s| {
+            let mut broadcasts = Broadcasts::new();
+            broadcasts.note_loss(Stamp(0), peers, bytes_per_s);
+            broadcasts.repairs_wait_until(Stamp(0)).map(|at| at.0)
+        };
+        assert_eq!(gathered(SMALL_SWARM, Some(100)), None);
+        assert_eq!(gathered(20, None), Some(40_000));
+        assert_eq!(gathered(20, Some(100_000)), Some(40_000));
+        assert_eq!(gathered(20, Some(307)), Some(2_000_000));
+        assert_eq!(gathered(20, Some(20)), Some(5_000_000));
+    }
+}

@@ -65,3 +65,30 @@ fn requests_of_a_crowd_are_short() {
     println!("{datagrams} requests of {each} bytes");
     assert!(each < 450, "{each} bytes each");
 }
+
+/// Whatever the robots of a crowd say before anybody can have answered only makes the queue longer.
+#[test]
+fn a_robot_of_a_crowd_that_nobody_hears_yet_says_little() {
+    let slow = Radio { delay: 5 * SECOND, ..Radio::PERFECT };
+    let mut swarm = Swarm::of(25, 97, slow, &broadcast());
+    swarm.run(10 * SECOND - MS);
+    let requests = |swarm: &Swarm| {
+        swarm.robots.values().map(|robot| robot.session.counters().requests_out.datagrams).max().unwrap()
+    };
+    assert!(requests(&swarm) <= 5, "{} requests, at 0 s and every 3 s", requests(&swarm));
+    swarm.run(SECOND);
+    assert!(requests(&swarm) > 5, "whoever is heard says whom it hears");
+}
+
+#[test]
+fn what_queues_on_the_radio_of_a_crowd_does_not_count_as_lost() {
+    let slow = Radio { delay: 2 * SECOND, ..Radio::PERFECT };
+    let mut swarm = Swarm::of(25, 98, slow, &broadcast());
+    // Nobody knows yet how long a datagram takes.
+    swarm.run(1_500 * MS);
+    let published: usize = (1..=25).map(|id| swarm.publish(id, 60)).sum();
+    swarm.run(60 * SECOND);
+    swarm.assert_in_sync(&(1..=25).map(|id| swarm.stream(id)).collect::<Vec<_>>());
+    let lost: u64 = swarm.robots.values().map(|robot| robot.session.counters().lost).sum();
+    assert_eq!((lost, swarm.take_sent_packages().len()), (0, published));
+}

@@ -188,6 +188,26 @@ fn what_is_out_without_an_echo_is_little_at_first_and_grows_by_what_has_arrived(
 }
 
 #[test]
+fn of_a_crowd_each_has_little_out_without_an_echo_unless_others_hardly_queue() {
+    let out_max = |rate: &Rate, peers| {
+        (1..).map(|n| n * 100).find(|bytes| rate.wait_for_echo(Stamp(0), *bytes, peers).is_some()).unwrap()
+            - 100
+    };
+    let mut rate = Rate::new();
+    assert_eq!([8, 10, 49].map(|peers| out_max(&rate, peers)), [8_000, 3_200, 1_300]);
+    let heard = |queued| Heard {
+        bytes: 100,
+        sent: Stamp(0),
+        before: None,
+        queued: Some(Queued { beyond_base: queued, all: queued }),
+    };
+    rate.note_heard(Stamp(0), heard(20_000));
+    assert_eq!(out_max(&rate, 49), 8_000);
+    (0..8).for_each(|_| rate.note_heard(Stamp(0), heard(SECOND)));
+    assert_eq!(out_max(&rate, 49), 1_300);
+}
+
+#[test]
 fn where_nobody_says_what_has_arrived_a_datagram_a_second_goes_on() {
     let mut rate = Rate::new();
     send_all(&mut rate, Stamp(0));

@@ -95,7 +95,10 @@ impl Session {
         header: &DatagramHeader,
         request: &Request,
     ) -> Option<(Stamp, Duration)> {
-        let is_crowd = self.peers.len() > SMALL_SWARM;
+        // A crowd echoes few stamps. Where a queue stood, the robots share a medium, and its queue is the same for all.
+        let is_queue_shared = self.peers.len() > SMALL_SWARM
+            && self.config.cast == Cast::Broadcast
+            && self.outbox.rate.as_ref().is_some_and(|rate| !rate.in_slow_start());
         let peer = self.peers.get_mut(&header.sender.origin)?;
         peer.request = Some((header.stamp, now));
         peer.plan_anew();
@@ -122,11 +125,9 @@ impl Session {
         let (sent, age) = (echo.stamp(now), Duration::from_micros(echo.age_micros.into()));
         if let Some(round_trip) = now.since(sent).checked_sub(age) {
             peer.round_trip.sample(round_trip);
-            // A crowd echoes few stamps, and on a medium that all share the queue is the same for all.
-            let others = self.peers.iter_mut().filter(|(id, _)| **id != header.sender.origin);
-            for (_, other) in others.filter(|_| is_crowd && self.config.cast == Cast::Broadcast) {
-                other.round_trip.sample(round_trip);
-            }
+            let others =
+                self.peers.iter_mut().filter(|(id, _)| is_queue_shared && **id != header.sender.origin);
+            others.for_each(|(_, other)| other.round_trip.sample(round_trip));
         }
         let peer = self.peers.get_mut(&header.sender.origin)?;
         let arrival = Arrival { sent, arrived: header.stamp.plus_micros(-i64::from(echo.age_micros)) };

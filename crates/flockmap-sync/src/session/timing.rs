@@ -3,7 +3,7 @@
 use super::Session;
 use crate::Cast;
 use crate::config::ms;
-use crate::crowd::{LARGE_CROWD, SMALL_SWARM};
+use crate::crowd::SMALL_SWARM;
 use crate::event::Destination;
 use crate::peer::Peer;
 use crate::rate::Rate;
@@ -46,7 +46,6 @@ const BUDGET_PAUSE_MAX: Duration = Duration::from_secs(300);
 /// [`SMALL_SWARM`], where many hear each request, short ones take less.
 const SHORT_SHARE: u64 = 8;
 const SHORT_SHARE_OF_MANY: u64 = 16;
-const SHORT_SHARE_OF_LARGE_CROWD: u64 = 32;
 const WHOLE_SHARE: u64 = 12;
 /// As long as one comes within this time whole ones take less: one part in so many.
 const RARE_WHOLE_SHARE: u64 = 24;
@@ -200,14 +199,7 @@ impl Session {
     }
 
     pub(super) fn request_due(&mut self, now: Stamp) -> bool {
-        if self.is_unheard() && self.schedule.count >= UNHEARD_REQUESTS {
-            let until = self.schedule.last.plus(ms(self.config.request_period_idle_ms));
-            for timer in Timer::REQUESTS.into_iter().filter(|_| until > now) {
-                if self.schedule.timers.is_due(timer, now) {
-                    self.schedule.timers.set(timer, until);
-                }
-            }
-        }
+        self.wait_until_heard(now);
         if self.schedule.timers.is_due(Timer::Gap, now) && !self.has_gap(now) {
             self.schedule.timers.stop(Timer::Gap);
             self.schedule.gap_tries = 0;
@@ -223,6 +215,19 @@ impl Session {
             self.schedule.timers.stop(Timer::Probe);
         }
         Timer::REQUESTS.into_iter().any(|timer| self.schedule.timers.is_due(timer, now))
+    }
+
+    /// Puts off what is due while nobody of a crowd hears this robot.
+    fn wait_until_heard(&mut self, now: Stamp) {
+        let until = self.schedule.last.plus(ms(self.config.request_period_idle_ms));
+        if self.schedule.count < UNHEARD_REQUESTS || until <= now || !self.is_unheard() {
+            return;
+        }
+        for timer in Timer::REQUESTS {
+            if self.schedule.timers.is_due(timer, now) {
+                self.schedule.timers.set(timer, until);
+            }
+        }
     }
 
     fn has_gap(&self, now: Stamp) -> bool {
@@ -262,7 +267,6 @@ impl Session {
             };
             let (short_share, rare_max) = match self.peers.len() {
                 0..=SMALL_SWARM => (SHORT_SHARE, RARE_WHOLE_MAX),
-                peers if peers > LARGE_CROWD => (SHORT_SHARE_OF_LARGE_CROWD, RARE_WHOLE_MAX_OF_MANY),
                 _ => (SHORT_SHARE_OF_MANY, RARE_WHOLE_MAX_OF_MANY),
             };
             match is_short {
