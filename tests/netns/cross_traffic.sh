@@ -6,6 +6,7 @@
 # usage: cross_traffic.sh FLOCKMAP [DIR]
 #   FLOCKMAP is the program; records, configurations, logs and summaries go to DIR (default: a new folder, removed at the end).
 # environment, with defaults: RATE_KBIT=50 QUEUE_BYTES=16384 CROSS=tcp (or udp: at CROSS_KBIT=30, whatever becomes of it)
+#   CAST=unicast (or broadcast)
 #   FLIGHT_S=40 QUIET_S=45 (a robot ends when its record is over and nothing new has come for so long)
 # needs: root, ip and tc with tbf, python3 (the stream). exit: 0 as it must be, 1 not so, 77 skipped.
 set -eu
@@ -14,7 +15,7 @@ set -eu
 
 flockmap=$1
 dir=${2:-}
-RATE_KBIT=${RATE_KBIT:-50} QUEUE_BYTES=${QUEUE_BYTES:-16384} CROSS=${CROSS:-tcp} CROSS_KBIT=${CROSS_KBIT:-30}
+RATE_KBIT=${RATE_KBIT:-50} QUEUE_BYTES=${QUEUE_BYTES:-16384} CROSS=${CROSS:-tcp} CROSS_KBIT=${CROSS_KBIT:-30} CAST=${CAST:-unicast}
 FLIGHT_S=${FLIGHT_S:-40} QUIET_S=${QUIET_S:-45}
 robots="1 2 3 4 5"
 name=flockmap$$
@@ -81,6 +82,8 @@ while True:
     print(f"{time.time() - began:.1f} {received[0]}", flush=True)
 END
 
+everyone=
+[ "$CAST" = unicast ] || everyone=127.255.255.255:7700
 address() { echo "127.0.0.1:770$1"; }
 appears() { address "$1"; }
 for n in $robots; do
@@ -114,5 +117,5 @@ all=$(($(bytes_at link.txt "$ended") - $(bytes_at link.txt 8)))
 could=$(((ended - 8) * RATE_KBIT * 125))
 # With headers of 66 bytes for 1,448 the cross traffic is a twentieth more.
 ours=$(((all - cross * 21 / 20) * 100 / could)) theirs=$((cross * 100 / could))
-echo "five robots hold equal layers after $ended s; of the link ($RATE_KBIT kbit/s, $CROSS) robots $ours %, cross traffic $theirs %"
+echo "five robots hold equal layers after $ended s; of the link ($RATE_KBIT kbit/s, $CROSS, $CAST) robots $ours %, cross traffic $theirs %"
 [ "$ours" -ge 25 ] && [ "$theirs" -ge 40 ]

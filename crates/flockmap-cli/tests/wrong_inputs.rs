@@ -71,7 +71,7 @@ const WRONG: &[(&str, &str)] = &[
     ("replay forest --delay-ms -5", "--delay-ms is -5, expected 0 to 60,000"),
     ("replay forest --jitter-ms 1e9", "--jitter-ms is 1000000000"),
     ("replay forest --duplication 7", "--duplication is 7"),
-    ("replay forest --budget-kb-s 0.1", "--budget-kb-s is 0.1, expected at least 0.49"),
+    ("replay forest --budget-kb-s 0.01", "--budget-kb-s is 0.01, expected at least 0.02"),
     ("replay forest --resolution 0", "--resolution is 0, expected 0.001 to 100 m"),
     ("replay forest --resolution 10cm", "invalid value '10cm' for '--resolution <M>'"),
     ("replay forest --range -3", "--range is -3, expected more than 0 and at most 50 m (500 voxels)"),

@@ -109,8 +109,8 @@ const CONFIGS: &[Wrong] = &[
     ),
     wrong(
         "too little",
-        "[session]\nbudget_kb_s = 0.4\n",
-        &["[session] budget_kb_s is 0.4", "or at least 0.49"],
+        "[session]\nbudget_kb_s = 0.01\n",
+        &["[session] budget_kb_s is 0.01", "or at least 0.02"],
     ),
     wrong("no such rule", "[session]\nrelay = \"all\"\n", &["[session] relay is \"all\"", "`ranked`"]),
     wrong("half a key", "[session]\nswarm_key = \"abc\"\n", &["line 6: [session] swarm_key", "3 characters"]),

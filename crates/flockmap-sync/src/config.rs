@@ -121,7 +121,7 @@ pub struct SessionConfig {
     pub snapshot_range_max: Option<u32>,
 
     // How much to send.
-    /// Bytes that go out in any second over all links, datagrams sent to each peer counted each. At least 500.
+    /// Bytes that go out in any second over all links, datagrams sent to each peer counted each. At least 20.
     /// Default 2,000,000: unlimited sending overruns the socket buffers of receivers. `None`: no limit.
     ///
     /// Of 2,000 and more it holds in every single second. Below that a full datagram takes more than half a
@@ -134,14 +134,17 @@ pub struct SessionConfig {
     /// control leaves room for the map. Peers then wait for longer before they count this robot as gone.
     #[cfg_attr(
         feature = "serde",
-        serde(rename = "budget_kb_s", with = "flockmap_grid::units::UnlessZero::<1_024, 500>")
+        serde(rename = "budget_kb_s", with = "flockmap_grid::units::UnlessZero::<1_024, BYTES_PER_S_MIN>")
     )]
     pub radio_bytes_per_s: Option<u32>,
     /// Bytes that go out to one peer in any second (unicast), requests included. As `radio_bytes_per_s`, for each
     /// link. Default `None`: no limit.
     #[cfg_attr(
         feature = "serde",
-        serde(rename = "link_budget_kb_s", with = "flockmap_grid::units::UnlessZero::<1_024, 500>")
+        serde(
+            rename = "link_budget_kb_s",
+            with = "flockmap_grid::units::UnlessZero::<1_024, BYTES_PER_S_MIN>"
+        )
     )]
     pub link_bytes_per_s: Option<u32>,
     /// Find what the radio carries, by how long what is sent and heard waits, and send no more; the budgets

@@ -51,7 +51,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "P", default_value_t = 0.0)]
     pub duplication: f64,
     /// Most kilobytes (1,024 bytes) that a robot sends in a second, IP and UDP headers counted; at least
-    /// 0.49. Below 1.96 it holds on average, with one datagram of 1,228 bytes at once [default: 1,953]
+    /// 0.02. Below 1.96 it holds on average, with one datagram of 1,228 bytes at once [default: 1,953]
     #[arg(long, value_name = "B")]
     pub budget_kb_s: Option<f64>,
     /// unicast: to each robot on its own, every copy counts; broadcast: once for all, as on a shared radio

@@ -198,8 +198,8 @@ fn a_value_that_cannot_work_is_named_with_what_would() {
     for (text, says) in [
         ("mapper = \"octmap\"\n", ["line 5", "`rog-map`, `racer`, `octomap`", "did you mean `octomap`?"]),
         (
-            "[session]\nbudget_kb_s = 0.4\n",
-            ["line 6", "[session] budget_kb_s is 0.4", "0 for no limit, or at least 0.49"],
+            "[session]\nbudget_kb_s = 0.01\n",
+            ["line 6", "[session] budget_kb_s is 0.01", "0 for no limit, or at least 0.02"],
         ),
         (
             "[session]\nrelay = \"all\"\n",
