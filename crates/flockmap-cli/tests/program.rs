@@ -364,7 +364,7 @@ fn what_cannot_work_is_said() {
         ("replay forest other.mcap", "forest is a world"),
         ("replay forest --robots 999", "999"),
         ("replay forest --publish-period 0", "--publish-period is 0"),
-        ("replay forest --budget-kb-s 0.4", "--budget-kb-s is 0.4"),
+        ("replay forest --budget-kb-s 0.01", "--budget-kb-s is 0.01"),
         ("export forest --to map.stl", "map.stl"),
         ("info no-such.bt", "no-such.bt"),
         ("demo --scene nowhere", "nowhere"),
