@@ -6,7 +6,7 @@
 //! as long as it is used.
 //!
 //! A queue may stand whatever this robot does, filled by cross traffic (TCP, a video). So the rate does not go below this
-//! robot's share of 38 % of what the radio is known to carry, and does not rise above it until that traffic yields.
+//! robot's share of 39 % of what the radio is known to carry, and does not rise above it until that traffic yields.
 //!
 //! A short queue overflows before its delay shows. So losses count as a queue too, where they are more than usual.
 
@@ -57,7 +57,7 @@ const WINDOW_LONG: i64 = 2_000_000;
 /// Samples that are too few are forgotten after so long.
 const WINDOW_MAX: i64 = 120_000_000;
 /// Share of the radio that the robots keep beside cross traffic, in per cent …
-const SHARE_KEPT: i64 = 38;
+const SHARE_KEPT: i64 = 39;
 /// … which there may be if a queue stands while they take less than this themselves …
 const SHARE_ALONE: i64 = 70;
 /// … and there is if it stands for so long, for three times its own delay, and for the time of four full datagrams of each
