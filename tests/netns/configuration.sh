@@ -1,13 +1,16 @@
 # Read by the scripts beside it: configurations of nodes that fly the records of $dir, each with all of $robots as peers. Where one
-# listens `address ROBOT` says, and where others find it `appears ROBOT`; or by broadcast, if $everyone is where to send to.
+# listens `address ROBOT` says, and where others find it `appears ROBOT`. If $everyone is set, to a broadcast address, they
+# broadcast to that and have no peers listed.
 
 # Writes $dir/RUN.toml, of a run of a robot that begins so far into its record.
 configuration() { # ROBOT RUN START_S
-    peers= cast=unicast
-    [ -z "${everyone:-}" ] || cast=broadcast
-    for other in $robots; do
-        [ "$other" = "$1" ] || [ $cast = broadcast ] || peers="$peers\"$(appears "$other")\", "
-    done
+    peers= cast=broadcast
+    if [ -z "${everyone:-}" ]; then
+        cast=unicast
+        for other in $robots; do
+            [ "$other" = "$1" ] || peers="$peers\"$(appears "$other")\", "
+        done
+    fi
     cat > "$dir/$2.toml" << END
 id = $1
 name = "robot$2"

@@ -6,7 +6,7 @@
 # usage: cross_traffic.sh FLOCKMAP [DIR]
 #   FLOCKMAP is the program; records, configurations, logs and summaries go to DIR (default: a new folder, removed at the end).
 # environment, with defaults: RATE_KBIT=50 QUEUE_BYTES=16384 CROSS=tcp (or udp: at CROSS_KBIT=30, whatever becomes of it)
-#   CAST=unicast (or broadcast)
+#   CAST=unicast (or broadcast: one datagram for all)
 #   FLIGHT_S=40 QUIET_S=45 (a robot ends when its record is over and nothing new has come for so long)
 # needs: root, ip and tc with tbf, python3 (the stream). exit: 0 as it must be, 1 not so, 77 skipped.
 set -eu
@@ -82,8 +82,11 @@ while True:
     print(f"{time.time() - began:.1f} {received[0]}", flush=True)
 END
 
-everyone=
-[ "$CAST" = unicast ] || everyone=127.255.255.255:7700
+case $CAST in
+    unicast) everyone= ;;
+    broadcast) everyone=127.255.255.255:7700 ;;
+    *) echo "CAST is $CAST, expected unicast or broadcast" >&2 && exit 1 ;;
+esac
 address() { echo "127.0.0.1:770$1"; }
 appears() { address "$1"; }
 for n in $robots; do

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use flockmap::grid::{MapperConfig, Preset};
+use flockmap::sync::BYTES_PER_S_MIN;
 use flockmap::{BatchConfig, Codec, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::{Lidar, OptionError, Rendering};
 use serde::de::{DeserializeOwned, IntoDeserializer as _};
@@ -233,7 +234,7 @@ pub fn delay_micros(option: &str, ms: f64) -> anyhow::Result<i64> {
 pub fn budget(kb_s: f64) -> anyhow::Result<u32> {
     let bytes = kb_s * 1024.0;
     ensure!(
-        (20.0..=4e9).contains(&bytes),
+        (f64::from(BYTES_PER_S_MIN)..=4e9).contains(&bytes),
         "--budget-kb-s is {kb_s}, expected at least 0.02 (20 bytes a second: a full datagram in a minute)"
     );
     Ok(bytes as u32)

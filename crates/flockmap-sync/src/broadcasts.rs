@@ -114,7 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_crowd_gathers_losses_and_for_longer_on_a_thin_radio() {
+    fn in_a_crowd_a_repair_waits_for_other_losses_and_longer_on_a_thin_radio() {
         let gathered = |peers, bytes_per_s| {
             let mut broadcasts = Broadcasts::new();
             broadcasts.note_loss(Stamp(0), peers, bytes_per_s);

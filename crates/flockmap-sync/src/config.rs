@@ -257,8 +257,8 @@ pub struct ConfigError {
     pub expected: &'static str,
 }
 
-/// Least budget: a full datagram takes a minute of it.
-const BYTES_PER_S_MIN: u32 = 20;
+/// Least budget, and least rate that congestion control goes down to: a full datagram takes a minute of it.
+pub const BYTES_PER_S_MIN: u32 = 20;
 
 impl SessionConfig {
     /// The paper's own behaviour (Sec. IV-B): requests on a fixed period, packages only as answers to them, all

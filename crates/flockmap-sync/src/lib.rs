@@ -35,7 +35,7 @@ mod store;
 mod timers;
 pub mod wire;
 
-pub use config::{Cast, ConfigError, InFlight, Order, Relay, SessionConfig};
+pub use config::{BYTES_PER_S_MIN, Cast, ConfigError, InFlight, Order, Relay, SessionConfig};
 pub use counters::{Counters, Traffic};
 pub use event::{Destination, Event, PublishError, Transmit};
 pub use inbox::Verdict;

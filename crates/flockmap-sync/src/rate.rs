@@ -17,6 +17,7 @@ mod sent_log;
 
 pub(crate) use queueing::{Queued, QueueingDelays};
 
+use crate::config::BYTES_PER_S_MIN;
 use crate::crowd::SMALL_SWARM;
 use crate::pacer::{TokenBucket, burst_bytes};
 use capacity::{Arrived, BYTES_PER_S_MAX, Capacity, FULL_DATAGRAM, SECOND, per_second};
@@ -27,8 +28,6 @@ use sent_log::SentLog;
 
 /// The rate before anything is known of the radio.
 const INITIAL: u32 = 250_000;
-/// Least rate: a full datagram in a minute.
-const BYTES_PER_S_MIN: u32 = 20;
 /// Target: a queue stands if no datagram queued for less than this …
 const TARGET: i64 = 100_000;
 /// … and the time of two full datagrams, at most this.

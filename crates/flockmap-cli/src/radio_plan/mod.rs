@@ -13,9 +13,9 @@ pub use swarm_costs::{Ages, SwarmCost, SwarmCosts};
 /// Most of a radio that a plan uses, on the mean. The rest is for the seconds in which the map grows faster: in
 /// the flights that were measured the busiest ten seconds of thirty took 1.05 to 2.2 times the mean.
 pub const LOAD_MAX: f64 = 0.8;
-/// How much longer agreement took than the bytes left alone would, on `lora` with 5, 7, 10 and 20 robots: 1.5
-/// to 2.4 times, since requests and repairs go on meanwhile. No bound: close to a full radio it took longer
-/// (docs/radios.md).
+/// How much longer agreement took than the bytes left alone would, on `lora` with 7, 10 and 20 robots: 1.5 to
+/// 2.0 times, since requests and repairs go on meanwhile. No bound: with 5 robots, where less is left, it took 2.4
+/// times (docs/radios.md).
 const AGREEMENT_FACTOR: f64 = 2.2;
 /// Most robots that are tried.
 pub const ROBOTS_MAX: usize = 1_000;

@@ -6,7 +6,7 @@ use core::fmt;
 use core::str::FromStr;
 
 /// The least budget that a session takes, in bytes a second.
-pub const BUDGET_MIN: u32 = 20;
+pub const BUDGET_MIN: u32 = flockmap::sync::BYTES_PER_S_MIN;
 
 /// A radio that people use.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]

@@ -124,10 +124,10 @@ impl Session {
         let echo = request.echoes.iter().find(own)?;
         let (sent, age) = (echo.stamp(now), Duration::from_micros(echo.age_micros.into()));
         if let Some(round_trip) = now.since(sent).checked_sub(age) {
-            peer.round_trip.sample(round_trip);
-            let others =
-                self.peers.iter_mut().filter(|(id, _)| is_queue_shared && **id != header.sender.origin);
-            others.for_each(|(_, other)| other.round_trip.sample(round_trip));
+            let sampled = |id: &RobotId| is_queue_shared || *id == header.sender.origin;
+            for (_, peer) in self.peers.iter_mut().filter(|(id, _)| sampled(id)) {
+                peer.round_trip.sample(round_trip);
+            }
         }
         let peer = self.peers.get_mut(&header.sender.origin)?;
         let arrival = Arrival { sent, arrived: header.stamp.plus_micros(-i64::from(echo.age_micros)) };
