@@ -118,12 +118,15 @@ impl Session {
     /// Pause between two requests for gaps: an answer needs the round trip at least.
     fn gap_pause(&self, now: Stamp, except: Option<RobotId>) -> Duration {
         let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
-        let tries = match others.clone().count() {
-            0..=SMALL_SWARM if self.repairs_fast(now) => GAP_TRIES * self.requests_per_round_trip(),
+        let count = others.clone().count();
+        let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
+        // Where their bytes set the pause, no more than one goes out in a round trip.
+        let is_often = self.repairs_fast(now) && self.short_pause(now) < round_trip;
+        let tries = match count {
+            0..=SMALL_SWARM if is_often => GAP_TRIES * self.requests_per_round_trip(),
             0..=SMALL_SWARM => GAP_TRIES,
             _ => GAP_TRIES_OF_MANY,
         };
-        let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
         let shortest = self.gap_pause_shortest(now, round_trip);
         let doublings = self.schedule.gap_tries.saturating_sub(tries).min(16);
         shortest.saturating_mul(1 << doublings).min(GAP_PAUSE_MAX).max(self.short_pause(now))
