@@ -35,7 +35,7 @@ pub enum Order {
 pub enum Relay {
     /// The origin answers first. If the requester does not hear the origin, the robot with the lowest id of those
     /// that the requester hears answers at once; the next ones only for what stays missing for `relay_delay_ms`,
-    /// each a further delay later.
+    /// each a further delay later. With up to 8 peers those who are known to lack it too are not waited for.
     Ranked,
     /// Everyone who holds a package answers at once (the paper, RACER): safe and wasteful.
     Always,

@@ -65,3 +65,34 @@ fn a_relay_leaves_a_peer_to_the_robot_that_sends_it_a_snapshot() {
 fn a_snapshot_that_is_complete_and_waits_for_packages_before_it_keeps_no_relay_from_sending_them() {
     assert!(sent_beside(2) >= 3);
 }
+
+/// The last package of a robot that is gone reached only the last one in the line of those who answer for it. Once that one
+/// waited two relay delays for each before it, none of which had the package.
+#[test]
+fn who_alone_holds_a_package_does_not_wait_for_those_before_it_in_the_line() {
+    let mut swarm = Swarm::new(81, Radio::PERFECT);
+    for id in 1..=4 {
+        swarm.start(id, 1, SessionConfig::default());
+    }
+    let former = swarm.start(9, 1, SessionConfig::default());
+    swarm.run(SECOND);
+    let mut last = swarm.publish(9, 300);
+    swarm.run(SECOND);
+    for id in 1..=3 {
+        swarm.cut(id, 9);
+        swarm.cut(id, 4);
+    }
+    last += swarm.publish(9, 300);
+    swarm.run(100 * MS);
+    swarm.stop(9);
+    swarm.run(12 * SECOND);
+    let lacks = |swarm: &Swarm, id: u16| {
+        let received = swarm.robots[&id].session.received(former);
+        received.is_none_or(|received| !received.contains_range(last as u32, last as u32))
+    };
+    assert!((1..=3).all(|id| lacks(&swarm, id)) && !lacks(&swarm, 4));
+    (1..=3).for_each(|id| swarm.join(id, 4));
+    swarm.run(5 * SECOND);
+    let later: Vec<u16> = (1..=3).filter(|id| lacks(&swarm, *id)).collect();
+    assert!(later.is_empty(), "robots {later:?} have not got it yet");
+}

@@ -382,20 +382,22 @@ impl Session {
 
     /// For a relay that is not first in line: what was missing at a request one relay delay ago, and still is.
     fn note_overdue(&mut self, now: Stamp, id: RobotId, stream: Stream, request: &Request) {
-        let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) else {
-            return;
-        };
+        let Some(peer) = self.peers.get(&id) else { return };
+        let Some(relay_rank) = self.relay_rank(peer, stream) else { return };
         let patience = self.round_trip_timeout(id);
-        let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(received) = self.store.received(stream) else { return };
-        // Where answers take long, they are waited for as long.
-        let delay = self.config.relay_delay(relay_rank).max(relay_rank * 2 * patience);
-        let Some(theirs) = peer.theirs(stream, now) else { return };
+        let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else { return };
         if relay_rank == 0 {
             return;
         }
         let mut missing = received.within(theirs.from.max(1), u32::MAX).difference(&theirs.received);
         missing.keep_newest(PEER_INTERVALS_MAX);
+        let waits_for = self.holders_before(id, stream, &missing).unwrap_or(relay_rank);
+        // Where answers take long, they are waited for as long.
+        let delay = self.config.relay_delay(waits_for).max(waits_for.max(1) * 2 * patience);
+        let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.streams.get_mut(&stream)) else {
+            return;
+        };
         if now.since(theirs.missing_then.0) >= delay {
             let then = &theirs.missing_then.1;
             let still = then.intersection(&missing);
@@ -436,6 +438,24 @@ impl Session {
                 Some(u32::from(hears_origin) + others)
             }
         }
+    }
+
+    /// In a small swarm: how many of those who come before this robot hold something of what a peer lacks, as far as they
+    /// have said so. The others are not waited for. O(peers).
+    fn holders_before(&self, id: RobotId, stream: Stream, missing: &IntervalSet) -> Option<u32> {
+        let peer = self.peers.get(&id).filter(|_| self.peers.len() <= SMALL_SWARM)?;
+        let holds = |other: &Peer| {
+            let theirs = other.streams.get(&stream);
+            theirs.is_some_and(|theirs| !theirs.received.intersection(missing).is_empty())
+        };
+        let is_before = |other: &&Peer| {
+            let robot = other.stream.origin;
+            let is_origin = robot == stream.origin && peer.hears(robot);
+            // What it publishes in this run it holds, whether it has said so or not.
+            (is_origin && other.stream == stream)
+                || ((is_origin || self.is_relay_before(peer, robot)) && holds(other))
+        };
+        Some(self.peers.values().filter(is_before).count() as u32)
     }
 
     /// Whether another robot comes before this one where a peer lacks what both have. Whom this robot does not hear stands
