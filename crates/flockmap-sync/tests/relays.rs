@@ -66,8 +66,8 @@ fn a_snapshot_that_is_complete_and_waits_for_packages_before_it_keeps_no_relay_f
     assert!(sent_beside(2) >= 3);
 }
 
-/// The last package of a robot that is gone reached only the last one in the line of those who answer for it. Once that one
-/// waited two relay delays for each before it, none of which had the package.
+/// The last package of a robot that is gone reached only the last one in the line of relays. Once that one waited a relay
+/// delay for each before it, none of which had the package.
 #[test]
 fn who_alone_holds_a_package_does_not_wait_for_those_before_it_in_the_line() {
     let mut swarm = Swarm::new(81, Radio::PERFECT);

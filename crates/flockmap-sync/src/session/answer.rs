@@ -380,10 +380,11 @@ impl Session {
         own.or_else(farthest).unwrap_or_else(unknown)
     }
 
-    /// For a relay that is not first in line: what was missing at a request one relay delay ago, and still is.
+    /// For a relay that is not first in line: what was missing at a request some relay delays ago, and still is.
     fn note_overdue(&mut self, now: Stamp, id: RobotId, stream: Stream, request: &Request) {
-        let Some(peer) = self.peers.get(&id) else { return };
-        let Some(relay_rank) = self.relay_rank(peer, stream) else { return };
+        let Some(relay_rank) = self.peers.get(&id).and_then(|peer| self.relay_rank(peer, stream)) else {
+            return;
+        };
         let patience = self.round_trip_timeout(id);
         let Some(received) = self.store.received(stream) else { return };
         let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else { return };
@@ -427,35 +428,36 @@ impl Session {
             Relay::Never => None,
             Relay::Always => Some(0),
             Relay::Ranked => {
-                // A new peer has not said yet whom it hears: probably the same robots as this one.
-                let hears = |robot| {
-                    let is_meeting = peer.is_meeting || peer.is_new(self.clocks.now(), self.peers.len());
-                    peer.hears(robot) || (is_meeting && self.peers.contains_key(&robot))
-                };
-                let hears_origin = stream.origin != peer.stream.origin && hears(stream.origin);
                 let others =
                     peer.relays_before.saturating_sub(u32::from(self.is_relay_before(peer, stream.origin)));
-                Some(u32::from(hears_origin) + others)
+                Some(u32::from(self.is_origin_heard_by(peer, stream.origin)) + others)
             }
         }
     }
 
-    /// In a small swarm: how many of those who come before this robot hold something of what a peer lacks, as far as they
-    /// have said so. The others are not waited for. O(peers).
+    /// Whether a peer hears another robot, which answers for its own streams before all relays. A new peer has not said yet
+    /// whom it hears: probably the same robots as this one.
+    fn is_origin_heard_by(&self, peer: &Peer, origin: RobotId) -> bool {
+        let is_meeting = || peer.is_meeting || peer.is_new(self.clocks.now(), self.peers.len());
+        origin != peer.stream.origin
+            && (peer.hears(origin) || (self.peers.contains_key(&origin) && is_meeting()))
+    }
+
+    /// In a small swarm: how many of those who come before this robot may hold something of what a peer lacks: the origin,
+    /// and whoever has said so. An origin that flies in a later run holds no more of a former one than it has said. O(peers).
     fn holders_before(&self, id: RobotId, stream: Stream, missing: &IntervalSet) -> Option<u32> {
         let peer = self.peers.get(&id).filter(|_| self.peers.len() <= SMALL_SWARM)?;
         let holds = |other: &Peer| {
             let theirs = other.streams.get(&stream);
             theirs.is_some_and(|theirs| !theirs.received.intersection(missing).is_empty())
         };
-        let is_before = |other: &&Peer| {
-            let robot = other.stream.origin;
-            let is_origin = robot == stream.origin && peer.hears(robot);
-            // What it publishes in this run it holds, whether it has said so or not.
-            (is_origin && other.stream == stream)
-                || ((is_origin || self.is_relay_before(peer, robot)) && holds(other))
-        };
-        Some(self.peers.values().filter(is_before).count() as u32)
+        let may_hold = |origin: &Peer| origin.stream == stream || holds(origin);
+        let is_origin_before = self.is_origin_heard_by(peer, stream.origin)
+            && self.peers.get(&stream.origin).is_none_or(may_hold);
+        let relays = self.peers.iter().filter(|(robot, other)| {
+            **robot != stream.origin && self.is_relay_before(peer, **robot) && holds(other)
+        });
+        Some(u32::from(is_origin_before) + relays.count() as u32)
     }
 
     /// Whether another robot comes before this one where a peer lacks what both have. Whom this robot does not hear stands

@@ -120,10 +120,10 @@ impl Session {
         let others = self.peers.values().filter(|peer| Some(peer.stream.origin) != except);
         let count = others.clone().count();
         let round_trip = others.map(|peer| peer.round_trip.timeout()).max().unwrap_or_default();
-        // Where their bytes set the pause, no more than one goes out in a round trip.
-        let is_often = self.repairs_fast(now) && self.short_pause(now) < round_trip;
+        // Where their own bytes set the pause, not even two go out in a round trip.
+        let has_several_tries = self.repairs_fast(now) && self.short_pause(now) < round_trip;
         let tries = match count {
-            0..=SMALL_SWARM if is_often => GAP_TRIES * self.requests_per_round_trip(),
+            0..=SMALL_SWARM if has_several_tries => GAP_TRIES * self.requests_per_round_trip(),
             0..=SMALL_SWARM => GAP_TRIES,
             _ => GAP_TRIES_OF_MANY,
         };
