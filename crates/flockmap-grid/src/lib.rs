@@ -18,6 +18,7 @@ mod pose;
 mod scan;
 mod snapshot;
 mod states;
+mod submap;
 #[cfg(feature = "serde")]
 #[doc(hidden)]
 pub mod units;
@@ -30,13 +31,14 @@ pub use changes::Changes;
 pub use fusion::{Dropped, Fusion, FusionConfig, FusionError, MapView, RayEnd};
 pub use layer::{BaseSuperseded, DiscardedLayer, LAYER_BLOCK_BYTES_MAX, Layer, SnapshotReader};
 pub use mapper::{
-    ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, Preset, ScanReport, Sphere,
-    Which,
+    ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, MovedBlock, Preset,
+    ScanReport, Sphere, Which,
 };
 pub use origin::{RobotId, Stamp, Stream, epoch, seconds_of_epoch};
 pub use pose::{Pose, PoseError};
 pub use scan::Scan;
 pub use snapshot::{BlockRuns, Snapshot, SnapshotVoxels};
 pub use states::{States, StatesError, StatesUpdate};
+pub use submap::{Sheet, SubmapId, SubmapRecord};
 pub use unpacked::UNPACKED_BYTES_MAX;
 pub use voxel::{BLOCK_SIDE, BlockIndex, Resolution, State, VOXEL_LIMIT, Voxel, VoxelBox};

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
+use crate::submap::RESERVED;
 use crate::{Resolution, VOXEL_LIMIT};
 
 /// A rigid transform. `T_a_b` takes coordinates in frame `b` (metres) to coordinates in frame `a`;
@@ -40,6 +41,28 @@ pub enum PoseError {
         /// Side of a voxel.
         resolution: Resolution,
     },
+    /// The position lies where the grid has no room for robots.
+    #[error(
+        "position {position:?} m lies where the grid keeps what is seen anew: between {low_m:.1} and {high_m:.1} m up"
+    )]
+    Reserved {
+        /// Metres.
+        position: [f64; 3],
+        /// From this height …
+        low_m: f64,
+        /// … to this one, in metres.
+        high_m: f64,
+    },
+    /// The pose of a submap lies too far out to be sent.
+    #[error(
+        "position {position:?} m of a submap lies beyond ±{limit_m:.0} m: take metres, from an origin near the robots"
+    )]
+    BeyondSubmaps {
+        /// Metres.
+        position: [f64; 3],
+        /// The farthest from the origin that it may be on each axis, in metres.
+        limit_m: f64,
+    },
 }
 
 /// Voxels between the farthest position that is taken and the end of the grid: room for the longest ray, so
@@ -48,7 +71,8 @@ pub(crate) const MARGIN: i32 = 1_024;
 
 impl Resolution {
     /// Whether a sensor, a team-mate or the origin of a frame may be at this position (metres): finite, and
-    /// at least 1,024 voxels within the end of the grid.
+    /// at least 1,024 voxels within the end of the grid, and as far from what it keeps for what is seen anew
+    /// ([`Sheet`](crate::Sheet)), from 2²⁶ to 2²⁷ voxels up.
     ///
     /// # Errors
     /// [`PoseError`] says what was wrong.
@@ -58,6 +82,10 @@ impl Resolution {
             return Err(PoseError::Position(position));
         }
         let is_within = position.iter().all(|metres| (metres * scale).abs() <= limit);
+        let [low_m, high_m] = [RESERVED.start(), RESERVED.end()].map(|end| f64::from(*end) * self.metres());
+        if is_within && (low_m..=high_m).contains(&position[2]) {
+            return Err(PoseError::Reserved { position, low_m, high_m });
+        }
         if is_within {
             return Ok(());
         }
@@ -247,7 +275,8 @@ mod tests {
                 }
                 let all = [&pose.translation()[..], &pose.quaternion_xyzw()[..]].concat();
                 let is_number = all.iter().all(|number| number.is_finite());
-                let is_within = pose.translation().iter().all(|metres| metres.abs() <= 26_843_443.2);
+                let is_within = pose.translation().iter().all(|metres| metres.abs() <= 26_843_443.2)
+                    && !(6_710_784.0..=13_421_875.2).contains(&pose.translation()[2]);
                 let checked = pose.check(resolution);
                 prop_assert_eq!(checked.is_ok(), is_number && is_within, "{:?}: {:?}", pose, checked);
                 if checked.is_ok() {
@@ -271,6 +300,8 @@ mod tests {
         assert!(text.contains("rotation") && text.contains("NaN") && text.contains("give no pose"), "{text}");
         let text = said(Pose::from_translation([0.0, 0.0, 1e300]));
         assert!(text.contains("beyond the grid") && text.contains("±26843443.2 m"), "{text}");
+        let text = said(Pose::from_translation([0.0, 0.0, 7e6]));
+        assert!(text.contains("between 6710784.0 and 13421875.2 m up"), "{text}");
         assert_eq!(Pose::from_translation([26_843_443.2, -26_843_443.2, 0.0]).check(resolution), Ok(()));
     }
 

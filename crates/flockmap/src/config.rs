@@ -62,6 +62,9 @@ pub struct RobotConfig {
     /// each voxel, and 140 to 300 for each block. At most three times `session.snapshot_bytes_max` counts. What cannot be
     /// cut may take 256 MiB, and is not made if it would take more. Default 48 MiB.
     pub snapshot_piece_bytes: usize,
+    /// A submap begins after so many metres of way of the sensor
+    /// ([`Robot::begin_submap`](crate::Robot::begin_submap)). Above 0. Default `None`: only when the driver says so.
+    pub submap_length_m: Option<f64>,
     /// Returns within this distance of a team-mate's position are taken for the team-mate. Metres, 0 or more.
     /// Default 0.5.
     pub teammate_radius_m: f64,
@@ -84,6 +87,7 @@ impl RobotConfig {
             session: SessionConfig::default(),
             fusion: FusionConfig::default(),
             snapshot_piece_bytes: PIECE_BYTES,
+            submap_length_m: None,
             teammate_radius_m: 0.5,
             teammate_timeout_ms: 1_000,
             seed: 0,
@@ -107,4 +111,7 @@ pub enum RobotError {
         /// Name of the option, in [`BatchConfig`].
         option: &'static str,
     },
+    /// The length of submaps.
+    #[error("submap_length_m is {0}, expected a number above 0, or none")]
+    SubmapLength(f64),
 }

@@ -60,6 +60,10 @@ pub struct RobotCounters {
     pub snapshot_steps_most: u64,
     /// Runs begun while flying, since the own id was used with a higher epoch.
     pub runs_begun: u64,
+    /// Submaps begun in this run, beside the first.
+    pub submaps_begun: u64,
+    /// How often a submap of this run was moved.
+    pub submap_poses: u64,
     /// Own batches that were coded independently, since repair was slow, or something was dropped here or elsewhere.
     pub batches_independent: u64,
     /// Events dropped since nobody polled them.

@@ -59,10 +59,10 @@ pub use flockmap_grid as grid;
 pub use flockmap_grid::{
     Changes, Fusion, FusionConfig, MapView, Mapper, MapperConfig, Pose, PoseError, Preset, RayEnd,
     Resolution, RobotId, Scan, ScanReport, Sphere, Stamp, State, States, StatesError, StatesUpdate, Stream,
-    Voxel, VoxelBox, epoch,
+    SubmapId, Voxel, VoxelBox, epoch,
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
 pub use piece::{PIECE_BYTES, Piece, PieceReader};
 pub use publisher::Packer;
-pub use robot::{KnownPose, REBUILD_BLOCKS, RestoreError, Robot};
+pub use robot::{KnownPose, REBUILD_BLOCKS, RestoreError, Robot, SubmapError};

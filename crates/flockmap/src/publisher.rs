@@ -7,7 +7,9 @@ mod sent;
 
 use core::time::Duration;
 use flockmap_codec::{Base, Batch, Codec, EncodeError, Encoder, PACKAGE_BYTES_MAX, Package};
-use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Plane, Stamp, Stream, Which};
+use std::borrow::Cow;
+
+use flockmap_grid::{BlockIndex, Changes, Fusion, Mapper, Sheet, Stamp, Stream, Which};
 use flockmap_sync::{Pace, Session};
 
 use crate::{RobotConfig, RobotCounters};
@@ -142,7 +144,9 @@ impl Publisher {
             return None;
         }
         self.deferred = None;
-        let closed = self.packer.close_part(now, mapper, room, |block| believed_occupied(fusion, block));
+        let submap = mapper.submap();
+        let believed = |block| fusion.occupied_in_view(submap, block);
+        let closed = self.packer.close_part(now, mapper, room, believed);
         if closed.is_none() {
             // There may be nothing but what a team-mate knows better.
             self.deferred = Some(Deferred { since: now, until: now.plus(NOTHING_PAUSE) });
@@ -156,6 +160,16 @@ impl Publisher {
     /// The batch with whatever has changed, due or not.
     pub(crate) fn flush(&mut self, now: Stamp, mapper: &mut Mapper) -> Option<(Batch, Changes)> {
         self.packer.close(now, mapper)
+    }
+
+    /// A batch for what is to be said of submaps.
+    pub(crate) fn batch_of_records(&mut self) -> Batch {
+        self.packer.batch_of_records()
+    }
+
+    /// The longest that a batch with changes waits if nothing defers it.
+    pub(crate) const fn period(&self) -> Duration {
+        self.packer.period()
     }
 
     /// The packages of a batch, coded against what the others will hold; without (`is_independent`), if some of them
@@ -173,9 +187,23 @@ impl Publisher {
         counters.batches_independent += u64::from(is_independent && self.codec == Codec::Flock);
         let layer = fusion.layer(self.stream).filter(|_| !is_independent);
         let base = Base { layer, batches: self.sent.batches(), readers: self.sent.readers() };
-        let mut encode = |base| {
-            let (codec, first) = (self.codec, self.next_index);
-            self.encoder.encode_batch_against(codec, batch, first, changes, Some(base), PACKAGE_BYTES_MAX)
+        let sheets = by_sheet(batch, changes);
+        let mut encode = |base: &Base<'_>| {
+            let (mut all, mut first) = (Vec::new(), self.next_index);
+            for (batch, changes) in &sheets {
+                let (codec, base) = (self.codec, Some(base));
+                let packages = self.encoder.encode_batch_against(
+                    codec,
+                    batch,
+                    first,
+                    changes,
+                    base,
+                    PACKAGE_BYTES_MAX,
+                )?;
+                first = first.saturating_add(packages.len() as u32);
+                all.extend(packages);
+            }
+            Ok(all)
         };
         let coded = match encode(&base) {
             // Something was dropped there, which others hold; or the own layer holds something as new, which no batch
@@ -219,13 +247,29 @@ impl Publisher {
     /// Voxels that have changed and are still to be published.
     pub(crate) fn unpublished(&self, mapper: &Mapper, fusion: &Fusion) -> usize {
         match self.packer.is_behind() {
-            true => mapper.count_changes(Which::All, |block| believed_occupied(fusion, block)),
+            true => mapper.count_changes(Which::All, |block| fusion.occupied_in_view(mapper.submap(), block)),
             false => mapper.pending(),
         }
     }
 }
 
-/// The voxels of a block that are Occupied in the fused map.
-fn believed_occupied(fusion: &Fusion, block: BlockIndex) -> Plane {
-    fusion.map().block(block).map_or([0; 8], |states| *states.occupied())
+/// The changes of a batch on each sheet, with where the sensor was as seen from there: on others than the first, and of
+/// submaps, there are few.
+fn by_sheet<'a>(batch: &Batch, changes: &'a Changes) -> Vec<(Batch, Cow<'a, Changes>)> {
+    let sheet_of = |(index, _): &(BlockIndex, _)| Sheet::of(*index);
+    if changes.blocks().iter().all(|block| sheet_of(block) == Some(Sheet::FIRST)) {
+        return vec![(*batch, Cow::Borrowed(changes))];
+    }
+    let mut blocks = changes.blocks().to_vec();
+    blocks.sort_by_key(sheet_of);
+    let sheets = blocks.chunk_by(|a, b| sheet_of(a) == sheet_of(b)).map(|blocks| {
+        let middle = sheet_of(&blocks[0]).map_or([0; 3], Sheet::middle);
+        let sensor =
+            core::array::from_fn(|axis| batch.sensor[axis].saturating_add(middle[axis] * BLOCK_SIXTEENTHS));
+        (Batch { sensor, ..*batch }, Cow::Owned(Changes::from_blocks(blocks.to_vec())))
+    });
+    sheets.collect()
 }
+
+/// Sixteenths of a voxel along a side of a block.
+const BLOCK_SIXTEENTHS: i32 = 16 * 8;

@@ -7,10 +7,12 @@ mod restore;
 mod room;
 mod slices;
 mod snapshots;
+mod submaps;
 
 pub use poses::KnownPose;
 pub use restore::RestoreError;
 pub use slices::REBUILD_BLOCKS;
+pub use submaps::SubmapError;
 
 use core::time::Duration;
 use std::collections::BTreeMap;
@@ -63,6 +65,7 @@ pub struct Robot {
     /// The last slice was left out for a batch.
     is_slice_due: bool,
     teammates: BTreeMap<RobotId, Teammate>,
+    submaps: submaps::Submaps,
     /// Of the newest scan.
     pose: Option<(Stamp, Pose)>,
     events: Events,
@@ -92,6 +95,11 @@ impl Robot {
                 return Err(RobotError::Batch { option });
             }
         }
+        if let Some(length_m) =
+            config.submap_length_m.filter(|length_m| length_m.is_nan() || *length_m <= 0.0)
+        {
+            return Err(RobotError::SubmapLength(length_m));
+        }
         let own = Stream { origin: config.id, epoch: config.epoch };
         let resolution = config.mapper.resolution;
         let mut session = config.session.clone();
@@ -110,6 +118,7 @@ impl Robot {
             turn: Work::default(),
             is_slice_due: false,
             teammates: BTreeMap::new(),
+            submaps: submaps::Submaps::default(),
             pose: None,
             events: Events::default(),
             counters: RobotCounters::default(),
@@ -126,8 +135,10 @@ impl Robot {
     /// No scan is made after `now`: one with a stamp ahead of it counts as made now, in the map and for the
     /// others, and is counted ([`RobotCounters::scans_ahead`]).
     ///
+    /// The report is in the frame of the submap in which the scan is written ([`Self::submap_pose`]).
+    ///
     /// # Errors
-    /// [`PoseError`] if the pose is none or lies beyond the grid; nothing is changed then.
+    /// [`PoseError`] if the pose is none or lies beyond the grid; nothing is mapped then.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn insert_scan(
         &mut self,
@@ -137,17 +148,28 @@ impl Robot {
     ) -> Result<ScanReport, PoseError> {
         T_map_sensor.check(self.config.mapper.resolution)?;
         let now = self.advance(now);
+        if let Some(length_m) = self.config.submap_length_m
+            && self.submaps.note_place(T_map_sensor.translation(), length_m)
+        {
+            // When there are no more, the last one goes on.
+            let _ = self.begin_submap(now);
+        }
         let stamp = scan.stamp.min(now);
+        let T_map_submap = self.submaps.pose(self.mapper.submap());
+        let T_submap_map = (T_map_submap != Pose::IDENTITY).then(|| T_map_submap.inverse());
+        let T_submap_sensor = T_submap_map.map_or(*T_map_sensor, |pose| pose.compose(T_map_sensor));
+        T_submap_sensor.check(self.config.mapper.resolution)?;
         let timeout = Duration::from_millis(self.config.teammate_timeout_ms.into());
         let radius = self.config.teammate_radius_m;
         let masks = self.teammates.values_mut().filter_map(|teammate| {
             // Else it would not be taken for an obstacle for as long as its clock is ahead.
             teammate.seen = teammate.seen.min(now);
             let is_fresh = now.since(teammate.seen) <= timeout;
-            is_fresh.then_some(Sphere { centre: teammate.position, radius })
+            let centre = T_submap_map.map_or(teammate.position, |pose| pose.transform(teammate.position));
+            is_fresh.then_some(Sphere { centre, radius })
         });
         let masks: Vec<Sphere> = masks.collect();
-        let report = self.mapper.insert_at(stamp, scan, T_map_sensor, &masks);
+        let report = self.mapper.insert_at(stamp, scan, &T_submap_sensor, &masks);
         self.pose = Some((stamp, *T_map_sensor));
         self.counters.scans += 1;
         self.counters.scans_ahead += u64::from(scan.stamp > now);
@@ -223,6 +245,7 @@ impl Robot {
         let now = self.advance(now);
         self.session.handle_timeout(now);
         self.note_room();
+        self.say_submaps(now);
         let batches = self.counters.batches;
         while let Some((batch, changes)) = self.poll_batch(now) {
             self.publish(now, batch, changes);
@@ -289,6 +312,7 @@ impl Robot {
             republishing.is_flush_wanted = true;
             return;
         }
+        self.say_submaps(now);
         if let Some((batch, changes)) = self.publisher.flush(now, &mut self.mapper) {
             self.publish(now, batch, changes);
         }
@@ -362,7 +386,7 @@ impl Robot {
     pub fn poll_timeout(&self) -> Option<Stamp> {
         let at_once = self.is_busy().then_some(self.now);
         let batch = self.publisher.poll_timeout(&self.mapper).filter(|_| self.republishing.is_none());
-        let due = [at_once, batch, self.session.poll_timeout()];
+        let due = [at_once, batch, self.submaps_due(), self.session.poll_timeout()];
         due.into_iter().flatten().min()
     }
 

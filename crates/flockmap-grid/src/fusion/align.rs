@@ -6,14 +6,56 @@ use rustc_hash::FxHashMap;
 
 use super::rigid::{Planes, Rigid, is_dense, numbered, places};
 use crate::block::plane_within;
-use crate::{BlockIndex, Layer, Plane, Pose, Resolution, Stamp, State, StateBlock, Voxel};
+use crate::submap::BlockBox;
+use crate::{BLOCK_SIDE, BlockIndex, Layer, Plane, Pose, Resolution, Sheet, Stamp, State, StateBlock, Voxel};
 
-/// `T_own_origin` and its inverse, in voxel units.
+/// How what is seen from another frame lies in the own one, and back, in voxel units.
 #[derive(Clone, Debug)]
 pub(super) struct Alignment {
     forward: Rigid,
     backward: Rigid,
-    is_identity: bool,
+    /// Where blocks stay blocks, by how many they are moved.
+    shift: Option<[i32; 3]>,
+}
+
+/// Blocks of voxels with stamps.
+pub(super) trait Blocks {
+    /// The states of a block, `None` if nothing in it is known.
+    fn block(&self, index: BlockIndex) -> Option<StateBlock>;
+
+    /// State of a voxel and when it was set. `None` if it is Unknown.
+    fn get(&self, voxel: Voxel) -> Option<(State, Stamp)>;
+
+    /// The states of blocks of which something is known, with their numbers in the list.
+    fn each_block(
+        &self,
+        indices: impl Iterator<Item = BlockIndex>,
+        mut found: impl FnMut(usize, StateBlock),
+    ) {
+        for (number, index) in indices.enumerate() {
+            if let Some(block) = self.block(index) {
+                found(number, block);
+            }
+        }
+    }
+}
+
+impl Blocks for Layer {
+    fn block(&self, index: BlockIndex) -> Option<StateBlock> {
+        self.block(index)
+    }
+
+    fn get(&self, voxel: Voxel) -> Option<(State, Stamp)> {
+        self.get(voxel)
+    }
+
+    fn each_block(
+        &self,
+        indices: impl Iterator<Item = BlockIndex>,
+        mut found: impl FnMut(usize, StateBlock),
+    ) {
+        self.blocks_at(indices).for_each(|(number, block)| found(number, block));
+    }
 }
 
 impl Alignment {
@@ -23,13 +65,51 @@ impl Alignment {
         Self {
             forward: Rigid::new(T_own_origin, resolution),
             backward: Rigid::new(&T_own_origin.inverse(), resolution),
-            is_identity: *T_own_origin == Pose::IDENTITY,
+            shift: (*T_own_origin == Pose::IDENTITY).then_some([0; 3]),
+        }
+    }
+
+    /// The same of what lies on a sheet of the other grid.
+    pub(super) fn of_sheet(&self, sheet: Sheet) -> Self {
+        let middle = sheet.middle();
+        let voxels = middle.map(|at| f64::from(at * BLOCK_SIDE));
+        Self {
+            forward: self.forward.after_shift(voxels.map(|at| -at)),
+            backward: self.backward.before_shift(voxels),
+            shift: self.shift.map(|shift| core::array::from_fn(|axis| shift[axis] - middle[axis])),
         }
     }
 
     /// Whether voxels of both grids are the same voxels.
     pub(super) const fn is_identity(&self) -> bool {
-        self.is_identity
+        matches!(self.shift, Some([0, 0, 0]))
+    }
+
+    /// Whether blocks of both grids are the same blocks, whatever their indices.
+    pub(super) const fn is_shift(&self) -> bool {
+        self.shift.is_some()
+    }
+
+    /// A box of blocks in which all lies that comes from a box of blocks of the other frame.
+    pub(super) fn image_of(&self, blocks: &BlockBox) -> BlockBox {
+        let [low, high] = blocks.ends();
+        let corners = (0..8).map(|n| {
+            let pick = |bit: i32, low: i32, high: i32| {
+                f64::from(if n >> bit & 1 == 0 { low } else { high + 1 } * BLOCK_SIDE)
+            };
+            self.forward.transform([pick(0, low.x, high.x), pick(1, low.y, high.y), pick(2, low.z, high.z)])
+        });
+        let ends = corners.fold([[f64::MAX; 3], [f64::MIN; 3]], |[low, high], at| {
+            [core::array::from_fn(|i| low[i].min(at[i])), core::array::from_fn(|i| high[i].max(at[i]))]
+        });
+        // A voxel and a bit more on all sides: what lies near has a say too. A cast clamps.
+        let [low, high] = [(ends[0], -2.0), (ends[1], 2.0)].map(|(end, more)| {
+            let [x, y, z] = end.map(|at| ((at + more) / f64::from(BLOCK_SIDE)).floor() as i32);
+            BlockIndex::new(x, y, z)
+        });
+        let mut image = BlockBox::new(low);
+        image.add(high);
+        image
     }
 
     /// A point of the other frame in the own one, both in voxels.
@@ -37,12 +117,21 @@ impl Alignment {
         self.forward.transform(point)
     }
 
+    /// The voxel of the own frame that holds the centre of one of the other.
+    pub(super) fn voxel(&self, voxel: Voxel) -> Voxel {
+        self.forward.voxel(voxel)
+    }
+
     /// What a layer says of a voxel of the own grid, and with which stamp.
     ///
     /// Occupied voxels are carried forward: the voxel is Occupied if the centre of any occupied voxel of the
     /// layer comes to lie in it, so that no obstacle is lost. Free is looked up backwards: the voxel is Free
     /// if its own centre lies in a free voxel of the layer, so that no holes appear.
-    pub(super) fn look_up(&self, layer: &Layer, target: Voxel) -> Option<(State, Stamp)> {
+    pub(super) fn look_up(&self, layer: &impl Blocks, target: Voxel) -> Option<(State, Stamp)> {
+        if let Some(shift) = self.shift {
+            let [x, y, z] = shift.map(|blocks| blocks * BLOCK_SIDE);
+            return layer.get(Voxel::new(target.x - x, target.y - y, target.z - z));
+        }
         let [low, high] = self.backward.near(target);
         let mut occupied: Option<Stamp> = None;
         for z in low.z..=high.z {
@@ -67,10 +156,15 @@ impl Alignment {
     /// number of the target and the states. Occupied voxels are carried forward once for all targets.
     pub(super) fn blocks(
         &self,
-        layer: &Layer,
+        layer: &impl Blocks,
         targets: &[(BlockIndex, Plane)],
         mut source: impl FnMut(usize, StateBlock),
     ) {
+        if let Some([x, y, z]) = self.shift {
+            let indices = targets.iter().map(|(at, _)| BlockIndex::new(at.x - x, at.y - y, at.z - z));
+            return layer
+                .each_block(indices, |number, block| source(number, block.masked(&targets[number].1)));
+        }
         let mut free = vec![[0; 8]; targets.len()];
         let mut near = FxHashMap::<BlockIndex, Plane>::default();
         for ((index, mask), free) in targets.iter().zip(&mut free).filter(|((_, mask), _)| *mask != [0; 8]) {
@@ -130,8 +224,15 @@ impl Alignment {
 
     /// The voxels of the own grid on which these voxels of the layer can have a say, and few others.
     pub(super) fn reach<'a>(&self, source: &'a [(BlockIndex, Plane)]) -> Cow<'a, [(BlockIndex, Plane)]> {
-        if self.is_identity {
-            return Cow::Borrowed(source);
+        match self.shift {
+            Some([0, 0, 0]) => return Cow::Borrowed(source),
+            Some([x, y, z]) => {
+                let moved = |(at, plane): &(BlockIndex, Plane)| {
+                    (BlockIndex::new(at.x + x, at.y + y, at.z + z), *plane)
+                };
+                return Cow::Owned(source.iter().map(moved).collect());
+            }
+            None => {}
         }
         let mut reached = FxHashMap::<BlockIndex, Plane>::default();
         for (index, mask) in source {
@@ -153,7 +254,7 @@ struct Sources {
 }
 
 impl Sources {
-    fn new(layer: &Layer, ends: [Voxel; 2]) -> Self {
+    fn new(layer: &impl Blocks, ends: [Voxel; 2]) -> Self {
         let [low, high] = ends.map(Voxel::block);
         let mut blocks = [None; 27];
         for z in low.z..=high.z.min(low.z + 2) {

@@ -7,7 +7,7 @@ use super::dropped::{Candidate, Dropped};
 use super::sources::Source;
 use super::{Fusion, FusionError};
 use crate::layer::cube_of;
-use crate::{BLOCK_SIDE, BlockIndex, Changes, Mapper, Plane, Stamp, Stream};
+use crate::{BLOCK_SIDE, BlockIndex, Changes, Mapper, Plane, Sheet, Stamp, Stream, SubmapId};
 
 /// So many of all cubes are chosen at a time.
 const CHOSEN_SHARE: usize = 8;
@@ -146,14 +146,19 @@ impl Fusion {
     /// How little a cube is worth: its distance from the own robot times its age.
     fn rank(&self, stream: Stream, at: BlockIndex, stamp: Stamp, now: Stamp) -> u64 {
         let origin = self.wanted.origin(stream.origin);
+        // Where poses are told there is little, and all else depends on it.
+        let Some(sheet) = Sheet::of(BlockIndex::new(at.x * 4, at.y * 4, at.z * 4)) else { return 0 };
+        let middle = sheet.middle().map(f64::from);
         let centre = [at.x, at.y, at.z].map(|at| (f64::from(at) + 0.5) * CUBE_SIDE);
         let distance = self.dropping.near.map_or(0, |near| {
             let block_m = self.resolution.metres() * f64::from(BLOCK_SIDE);
-            let centre = if stream == self.sources.own {
-                centre
-            } else {
-                origin.pose().transform(centre.map(|at| at * block_m)).map(|at| at / block_m)
-            };
+            let spans = self.sources.get(stream).map(|source| &source.spans);
+            let submap = spans.map_or(SubmapId::FIRST, |spans| spans.at(stamp));
+            let local = core::array::from_fn(|axis| (centre[axis] - middle[axis]) * block_m);
+            let in_map = self.wanted.submap(stream, submap).transform(local);
+            let is_own = stream == self.sources.own;
+            let centre = if is_own { in_map } else { origin.pose().transform(in_map) };
+            let centre = centre.map(|at| at / block_m);
             let squares = centre.iter().zip(near).map(|(at, near)| (at - near) * (at - near));
             squares.sum::<f64>().sqrt() as u64
         });
@@ -170,15 +175,18 @@ impl Fusion {
     /// Something is gone from a layer: the fused map, and the one that is being made, are worked out there anew.
     pub(super) fn show_without(&mut self, mapper: &Mapper, stream: Stream, known: &[(BlockIndex, Plane)]) {
         let is_kept = flockmap_mutation::is(flockmap_mutation::Mutation::DroppedShown);
-        if stream == self.sources.own || known.is_empty() || is_kept {
-            return;
-        }
+        let Some(source) = self.sources.get(stream).filter(|_| !known.is_empty() && !is_kept) else { return };
+        let is_own = stream == self.sources.own;
         // The map that is being made began as the one that is shown.
         let reached: Vec<Vec<(BlockIndex, Plane)>> =
-            self.maps().map(|fused| fused.reach(stream.origin, known).into_owned()).collect();
-        for reached in reached {
-            self.refresh(mapper, |_| Cow::Borrowed(&reached));
+            self.maps().map(|fused| fused.reach(stream, source, is_own, known).into_owned()).collect();
+        if reached.iter().all(Vec::is_empty) {
+            return;
         }
+        for reached in reached {
+            self.refresh(mapper, |_| Cow::Owned(reached.clone()));
+        }
+        self.note_blocks(stream, known.iter().map(|(index, _)| *index));
         self.shown.view.forget_emptied();
     }
 

@@ -1,13 +1,14 @@
 //! A map made of own observations and layers by given settings.
 
 use core::cmp::Reverse;
-use std::borrow::Cow;
 use std::collections::BTreeSet;
 
-use super::settings::{Origin, Settings};
-use super::sources::{Source, Sources};
+use super::parts::Part;
+use super::settings::Settings;
+use super::sources::Sources;
 use super::view::MapView;
-use crate::{BlockIndex, Mapper, Plane, RobotId, Stamp, State, StateBlock, Voxel, set_bits};
+use crate::submap::{BlockBox, is_reserved};
+use crate::{BlockIndex, Mapper, Plane, RobotId, Stamp, State, Voxel, set_bits};
 
 /// Blocks of the fused map that are worked out together: enough that what they have in common is looked at
 /// once, few enough that what is noted of them, half a kilobyte each, stays small.
@@ -28,27 +29,6 @@ impl Fused {
         Self { settings, view, outdated: BTreeSet::new(), is_next: false }
     }
 
-    /// The sources that have a say.
-    pub(super) fn heard<'a>(
-        &'a self,
-        sources: &'a Sources,
-    ) -> impl Iterator<Item = (RobotId, &'a Origin, &'a Source)> {
-        sources
-            .of_others(self.is_next)
-            .map(|(stream, source, _)| (stream.origin, self.settings.origin(stream.origin), source))
-            .filter(|(_, origin, _)| !origin.is_muted)
-    }
-
-    /// The voxels on which these voxels of a layer of an origin can have a say, and few others.
-    pub(super) fn reach<'a>(
-        &self,
-        origin: RobotId,
-        voxels: &'a [(BlockIndex, Plane)],
-    ) -> Cow<'a, [(BlockIndex, Plane)]> {
-        let origin = self.settings.origin(origin);
-        if origin.is_muted { Cow::Borrowed(&[]) } else { origin.alignment().reach(voxels) }
-    }
-
     /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that
     /// several know are compared one by one. Returns how often a layer was looked into for one of these.
     pub(super) fn refresh(
@@ -59,25 +39,26 @@ impl Fused {
     ) -> usize {
         let mut looked = 0;
         for targets in targets.chunks(REFRESHED_AT_ONCE) {
-            let mut fused: Vec<_> = targets
-                .iter()
-                .map(|(index, mask)| {
-                    mapper.block(*index).map_or_else(StateBlock::default, |b| b.masked(mask))
-                })
-                .collect();
-            let heard: Vec<_> = self.heard(sources).collect();
+            // A layer is not asked for what it keeps there.
+            let Some(around) = BlockBox::around(targets.iter().map(|(index, _)| *index)) else { continue };
+            let own = self.is_own_plain(sources.own, mapper).then_some(mapper);
+            let own_block =
+                |index, mask| own.and_then(|own| own.block(index)).map(|block| block.masked(mask));
+            let mut fused: Vec<_> =
+                targets.iter().map(|(index, mask)| own_block(*index, mask).unwrap_or_default()).collect();
+            let parts = self.parts(sources, mapper, &around);
             let mut contested = vec![[0u64; 8]; targets.len()];
-            // Number of a target, and of a source that knows something of it: of a crowd few do.
+            // Number of a target, and of a part that knows something of it: of a crowd few do.
             let mut known_by: Vec<(usize, usize)> = Vec::new();
-            for (nth, (_, origin, source)) in heard.iter().enumerate() {
-                origin.blocks(&source.layer, targets, |number, source| {
+            for (nth, part) in parts.iter().enumerate() {
+                part.blocks(targets, |number, states| {
                     let (fused, contested) = (&mut fused[number], &mut contested[number]);
-                    let (known, new) = (fused.known(), source.known());
+                    let (known, new) = (fused.known(), states.known());
                     known_by.extend((new != [0; 8]).then_some((number, nth)));
                     for z in 0..8 {
                         contested[z] |= known[z] & new[z];
                     }
-                    fused.overlay(&source.masked(&core::array::from_fn(|z| !known[z])));
+                    fused.overlay(&states.masked(&core::array::from_fn(|z| !known[z])));
                 });
             }
             known_by.sort_unstable();
@@ -85,41 +66,40 @@ impl Fused {
                 let number = known_by[0].0;
                 for bit in set_bits(&contested[number]) {
                     let voxel = targets[number].0.voxel(bit);
-                    let known_by = known_by.iter().map(|(_, nth)| heard[*nth]);
+                    let known_by = known_by.iter().map(|(_, nth)| &parts[*nth]);
                     looked += known_by.len();
-                    let last = self.last_observation(known_by, sources.own.origin, mapper, voxel);
+                    let last = self.last_observation(known_by, sources.own.origin, own, voxel);
                     fused[number].set(bit, last.map_or(State::Unknown, |(state, _)| state));
                 }
             }
-            for ((index, mask), fused) in targets.iter().zip(fused) {
+            for ((index, mask), fused) in targets.iter().zip(fused).filter(|((at, _), _)| !is_reserved(*at)) {
                 self.view.write(*index, mask, &fused);
             }
         }
         looked
     }
 
-    /// The state that was observed last on this robot's clock, by itself or by these sources, and whose it is; of those
-    /// observed together, Occupied; of those that say the same at the same time, the own robot's, then that of the
-    /// lowest id. O(sources).
+    /// The state that was observed last on this robot's clock, by these parts, and by `own` where that is plain, and
+    /// whose it is; of those observed together, Occupied; of those that say the same at the same time, the own robot's,
+    /// then that of the lowest id. O(parts).
     pub(super) fn last_observation<'a>(
         &self,
-        sources: impl Iterator<Item = (RobotId, &'a Origin, &'a Source)>,
+        parts: impl Iterator<Item = &'a Part<'a>>,
         id_own: RobotId,
-        mapper: &Mapper,
+        own: Option<&Mapper>,
         voxel: Voxel,
     ) -> Option<(State, RobotId)> {
-        let own = mapper.state(voxel);
-        let own_stamp = mapper.last_seen(voxel).unwrap_or(Stamp(i64::MIN));
-        let own = (own != State::Unknown).then(|| {
-            let stamp = own_stamp.plus_micros(self.settings.own_priority_micros);
-            (stamp, own == State::Occupied, true, Reverse(id_own))
+        let priority = self.settings.own_priority_micros;
+        let own = own.and_then(|own| {
+            let state = Some(own.state(voxel)).filter(|state| *state != State::Unknown)?;
+            let stamp = own.last_seen(voxel).unwrap_or(Stamp(i64::MIN)).plus_micros(priority);
+            Some((stamp, state == State::Occupied, true, Reverse(id_own)))
         });
-        let source = sources.filter_map(|(id, origin, source)| {
-            let (state, stamp) = origin.look_up(&source.layer, voxel)?;
-            let made = source.received.made(stamp, origin.clock_offset_micros);
-            Some((made, state == State::Occupied, id == id_own, Reverse(id)))
+        let parts = parts.filter_map(|part| {
+            let (state, made) = part.look_up(voxel, priority)?;
+            Some((made, state == State::Occupied, part.id == id_own, Reverse(part.id)))
         });
-        source.chain(own).max().map(|(_, is_occupied, _, Reverse(id))| {
+        parts.chain(own).max().map(|(_, is_occupied, _, Reverse(id))| {
             (if is_occupied { State::Occupied } else { State::Free }, id)
         })
     }

@@ -6,6 +6,7 @@ mod dropped;
 mod dropping;
 mod fused;
 mod origins;
+mod parts;
 mod rebuild;
 mod received;
 mod region;
@@ -14,6 +15,7 @@ mod room;
 mod set;
 mod settings;
 mod sources;
+mod submaps;
 mod view;
 mod work;
 
@@ -117,6 +119,8 @@ pub struct Fusion {
     wanted: Settings,
     /// Origins for which something was set that neither the map nor the one that is being made has.
     due: BTreeSet<RobotId>,
+    /// Streams of which submaps were moved likewise.
+    due_submaps: BTreeSet<Stream>,
     refreshed: u64,
     dropping: Dropping,
 }
@@ -134,6 +138,7 @@ impl Fusion {
             next: None,
             wanted: settings,
             due: BTreeSet::new(),
+            due_submaps: BTreeSet::new(),
             refreshed: 0,
             dropping: Dropping::default(),
         }
@@ -161,10 +166,15 @@ impl Fusion {
 
     /// Takes in what the mapper made of a scan.
     pub fn own_scan(&mut self, mapper: &Mapper, report: &ScanReport) {
-        self.note_near(report.sensor);
-        self.refresh(mapper, |_| Cow::Borrowed(&report.touched));
-        let forgotten: Vec<_> = report.forgotten.iter().map(|index| (*index, [u64::MAX; 8])).collect();
-        self.refresh(mapper, |_| Cow::Borrowed(&forgotten));
+        let own = self.sources.own;
+        let submap = self.wanted.submap(own, mapper.submap());
+        self.note_near(report.sensor.map(|sensor| submap.transform(sensor)));
+        self.refresh(mapper, |fused| fused.reach_own(own, mapper, &report.touched));
+        if self.shown.settings.is_unmoved(own) {
+            let forgotten: Vec<_> = report.forgotten.iter().map(|index| (*index, [u64::MAX; 8])).collect();
+            self.refresh(mapper, |_| Cow::Borrowed(&forgotten));
+        }
+        self.refresh_moved(mapper, &report.moved);
         self.shown.view.forget_emptied();
     }
 
@@ -275,8 +285,9 @@ impl Fusion {
             });
             self.due.insert(stream.origin);
         }
-        if stream != self.sources.own && !flockmap_mutation::is(flockmap_mutation::Mutation::FusionSkipped) {
-            self.refresh(mapper, |fused| fused.reach(stream.origin, &taken));
+        let moved = self.note_taken(stream, &taken);
+        if !flockmap_mutation::is(flockmap_mutation::Mutation::FusionSkipped) {
+            self.refresh_taken(mapper, stream, &taken, &moved);
         }
         taken.iter().flat_map(|(_, mask)| mask).map(|word| word.count_ones() as usize).sum()
     }
@@ -291,6 +302,8 @@ impl Fusion {
     /// The own stream is another one from now on, without a layer; that of the former one is forgotten, and let go of
     /// by [`Self::work`].
     pub fn begin_run(&mut self, own: Stream) {
+        let former = self.sources.own;
+        self.settings_mut().for_each(|settings| settings.rename(former, own));
         self.sources.begin_run(own);
     }
 
@@ -310,11 +323,16 @@ impl Fusion {
 
     /// Works out anew what is reached in each map.
     fn refresh<'a>(&mut self, mapper: &Mapper, reached: impl Fn(&Fused) -> Cow<'a, [(BlockIndex, Plane)]>) {
+        let reached: Vec<_> = self.maps().map(reached).collect();
+        self.refresh_each(mapper, &reached);
+    }
+
+    /// Works out anew what was reached in each map: the shown one, and the next one if there is one.
+    fn refresh_each(&mut self, mapper: &Mapper, reached: &[impl AsRef<[(BlockIndex, Plane)]>]) {
         let next = self.next.as_mut().map(|next| &mut next.fused);
-        for fused in core::iter::once(&mut self.shown).chain(next) {
-            let targets = reached(fused);
-            self.refreshed += targets.len() as u64;
-            fused.refresh(&self.sources, mapper, &targets);
+        for (fused, targets) in core::iter::once(&mut self.shown).chain(next).zip(reached) {
+            self.refreshed += targets.as_ref().len() as u64;
+            fused.refresh(&self.sources, mapper, targets.as_ref());
         }
     }
 }

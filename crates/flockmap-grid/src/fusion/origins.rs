@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::Fusion;
-use crate::{BlockIndex, Mapper, Plane, RobotId, Stamp, Stream, set_bits};
+use crate::submap::BlockBox;
+use crate::{BLOCK_SIDE, BlockIndex, Mapper, Plane, RobotId, Sheet, Stamp, Stream, set_bits};
 
 impl Fusion {
     /// Whose observation each known voxel of a block is: the robots in ascending order of their ids, with voxels
@@ -14,14 +15,16 @@ impl Fusion {
     pub fn origins(&self, mapper: &Mapper, index: BlockIndex) -> Vec<(RobotId, Plane)> {
         let Some(states) = self.shown.view.block(index) else { return Vec::new() };
         let targets = [(index, states.known())];
-        let mut seen = mapper.block(index).map_or([0; 8], |block| block.known());
+        let own = self.shown.is_own_plain(self.sources.own, mapper).then_some(mapper);
+        let mut seen = own.and_then(|own| own.block(index)).map_or([0; 8], |block| block.known());
         let mut contested = [0u64; 8];
         let mut others = BTreeMap::<RobotId, Plane>::new();
         let mut known_by = Vec::new();
-        for heard @ (id, origin, source) in self.shown.heard(&self.sources) {
-            origin.blocks(&source.layer, &targets, |_, source| {
-                known_by.push(heard);
-                let (new, plane) = (source.known(), others.entry(id).or_default());
+        let parts = self.shown.parts(&self.sources, mapper, &BlockBox::new(index));
+        for part in &parts {
+            part.blocks(&targets, |_, states| {
+                known_by.push(part);
+                let (new, plane) = (states.known(), others.entry(part.id).or_default());
                 for z in 0..8 {
                     contested[z] |= seen[z] & new[z];
                     plane[z] |= new[z] & !seen[z];
@@ -32,8 +35,8 @@ impl Fusion {
         for bit in set_bits(&contested) {
             let (word, mask) = (bit / 64, 1 << (bit % 64));
             others.values_mut().for_each(|plane| plane[word] &= !mask);
-            let (known_by, own) = (known_by.iter().copied(), self.sources.own.origin);
-            if let Some((_, id)) = self.shown.last_observation(known_by, own, mapper, index.voxel(bit)) {
+            let (known_by, id_own) = (known_by.iter().copied(), self.sources.own.origin);
+            if let Some((_, id)) = self.shown.last_observation(known_by, id_own, own, index.voxel(bit)) {
                 others.entry(id).or_default()[word] |= mask;
             }
         }
@@ -52,9 +55,13 @@ impl Fusion {
         let others = self.sources.iter().filter(|(stream, _)| *stream != self.sources.own);
         others.filter_map(|(stream, source)| {
             let (stamp, sensor) = source.layer.newest_sensor()?;
-            let origin = self.shown.settings.origin(stream.origin);
-            let at = origin.alignment().transform(sensor.map(|at| f64::from(at) / 16.0));
-            let made = source.received.made(stamp, origin.clock_offset_micros);
+            let voxels = sensor.map(|at| f64::from(at) / 16.0);
+            let [x, y, z] = sensor.map(|at| at.div_euclid(16 * BLOCK_SIDE));
+            let sheet = Sheet::of(BlockIndex::new(x, y, z))?;
+            let settings = &self.shown.settings;
+            let at = settings.alignment(stream, false, source.spans.at(stamp), sheet)?.transform(voxels);
+            let offset = settings.origin(stream.origin).clock_offset_micros;
+            let made = source.received.made(stamp, offset);
             Some((stream, at.map(|at| at * self.resolution.metres()), made))
         })
     }

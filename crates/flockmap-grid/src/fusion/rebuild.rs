@@ -8,7 +8,10 @@ use super::fused::Fused;
 use super::region::region_of;
 use super::settings::Settings;
 use super::sources::Sources;
-use crate::{BlockIndex, Mapper, Plane, RobotId, VOXEL_LIMIT, Voxel, plane_within, voxel_bit};
+use super::submaps::box_of_cube;
+use crate::{
+    BlockIndex, Mapper, Plane, RobotId, Stream, SubmapId, VOXEL_LIMIT, Voxel, plane_within, voxel_bit,
+};
 
 /// What is worked out so far, and what is left.
 ///
@@ -21,6 +24,8 @@ pub(super) struct Rebuild {
     began: u64,
     /// What of the layers is left: the number of a source, one of its cubes. The last first.
     cubes: Vec<(u64, BlockIndex)>,
+    /// Blocks of the own map that are left.
+    own: Vec<BlockIndex>,
     /// Blocks that are reached and not worked out yet.
     targets: Vec<(BlockIndex, Plane)>,
     /// By region, the blocks that were reached.
@@ -28,14 +33,36 @@ pub(super) struct Rebuild {
 }
 
 impl Rebuild {
-    /// `due`: the origins of which layers are gone through. O(cubes of their layers).
+    /// `due`: the origins of which layers are gone through; `moved`: of which only these submaps are, ascending. O(cubes of
+    /// their layers), and O(blocks of the own map) where that is one of them.
     pub(super) fn begin(
         shown: &Fused,
         settings: Settings,
         due: &BTreeSet<RobotId>,
+        moved: &[(Stream, SubmapId)],
         sources: &mut Sources,
+        mapper: &Mapper,
     ) -> Self {
-        let mut cubes = Vec::new();
+        let (mut cubes, mut own) = (Vec::new(), Vec::new());
+        for of_stream in moved.chunk_by(|(a, _), (b, _)| a == b) {
+            let (stream, is_own) = (of_stream[0].0, of_stream[0].0 == sources.own);
+            let is_moved = |submap| of_stream.binary_search(&(stream, submap)).is_ok();
+            if is_own {
+                let is_there =
+                    |at: &BlockIndex| mapper.place_of(*at).is_some_and(|(submap, _)| is_moved(submap));
+                own = mapper.indices().filter(is_there).collect();
+                own.sort_unstable_by_key(|at| (parent_of(*at), *at));
+            }
+            if let Some(source) = sources.get(stream).filter(|_| is_own || !due.contains(&stream.origin)) {
+                let parts = source.spans.parts().filter(|(submap, ..)| is_moved(*submap));
+                let boxes: Vec<_> = parts.map(|(.., blocks)| blocks).collect();
+                let is_there = |at: &BlockIndex| {
+                    source.spans.is_empty() || boxes.iter().any(|blocks| blocks.meets(&box_of_cube(*at)))
+                };
+                let found = source.layer.cube_indices().filter(is_there);
+                cubes.extend(found.map(|at| (source.number(), at)));
+            }
+        }
         for (stream, source, is_leaving) in sources.of_others(false) {
             let id = stream.origin;
             let is_silent = shown.settings.origin(id).is_muted && settings.origin(id).is_muted;
@@ -51,6 +78,7 @@ impl Rebuild {
             fused: Fused { settings, view: shown.view.staged(), outdated, is_next: true },
             began: shown.view.version(),
             cubes,
+            own,
             targets: Vec::new(),
             reached: FxHashMap::default(),
         }
@@ -70,8 +98,11 @@ impl Rebuild {
             if let Some((number, at)) = self.cubes.pop_if(|_| self.targets.is_empty()) {
                 left = left.saturating_sub(self.find(shown, sources, number, at));
             }
+            if let Some(at) = self.own.pop_if(|_| self.targets.is_empty()) {
+                left = left.saturating_sub(self.find_own(shown, sources, mapper, at));
+            }
             let now = self.targets.split_off(self.targets.len().saturating_sub(left.min(AT_ONCE)));
-            if now.is_empty() && self.cubes.is_empty() {
+            if now.is_empty() && self.cubes.is_empty() && self.own.is_empty() {
                 break;
             }
             let looked = self.fused.refresh(sources, mapper, &now);
@@ -83,7 +114,7 @@ impl Rebuild {
 
     /// Whether all is worked out.
     pub(super) const fn is_done(&self) -> bool {
-        self.cubes.is_empty() && self.targets.is_empty()
+        self.cubes.is_empty() && self.own.is_empty() && self.targets.is_empty()
     }
 
     /// Cubes of layers that are left.
@@ -93,20 +124,23 @@ impl Rebuild {
 
     /// Notes what a cube of a layer reaches and was not reached before. Returns how many blocks the cube has.
     fn find(&mut self, shown: &Fused, sources: &Sources, number: u64, at: BlockIndex) -> usize {
-        let found = sources.of_others(false).find(|(_, source, _)| source.number() == number);
-        let Some((stream, source, _)) = found else { return 1 };
+        let Some((stream, source)) = sources.numbered(number) else { return 1 };
         let known = source.layer.known_in_cube(at);
         for fused in [shown, &self.fused] {
-            for (index, _) in fused.reach(stream.origin, &known).iter() {
-                let region = self.reached.entry(region_of(*index)).or_default();
-                let bit = voxel_bit(Voxel::new(index.x, index.y, index.z));
-                if region[bit / 64] >> (bit % 64) & 1 == 0 {
-                    region[bit / 64] |= 1 << (bit % 64);
-                    self.targets.push((*index, plane_within(*index, LOWEST, HIGHEST)));
-                }
-            }
+            let reached = fused.reach(stream, source, stream == sources.own, &known);
+            note(&mut self.reached, &mut self.targets, &reached);
         }
         known.len().max(1)
+    }
+
+    /// The same of a block of the own map.
+    fn find_own(&mut self, shown: &Fused, sources: &Sources, mapper: &Mapper, at: BlockIndex) -> usize {
+        let known = [(at, mapper.block(at).map_or([0; 8], |block| block.known()))];
+        for fused in [shown, &self.fused] {
+            let reached = fused.reach_own(sources.own, mapper, &known);
+            note(&mut self.reached, &mut self.targets, &reached);
+        }
+        1
     }
 
     /// All is worked out: the map is shown from now on in place of another.
@@ -115,6 +149,22 @@ impl Rebuild {
         fused.view.supersede(&shown.view, began);
         fused.view.forget_emptied();
         *shown = Fused { is_next: false, ..fused };
+    }
+}
+
+/// Notes which blocks are reached that were not before.
+fn note(
+    all: &mut FxHashMap<BlockIndex, Plane>,
+    targets: &mut Vec<(BlockIndex, Plane)>,
+    reached: &[(BlockIndex, Plane)],
+) {
+    for (index, _) in reached {
+        let region = all.entry(region_of(*index)).or_default();
+        let bit = voxel_bit(Voxel::new(index.x, index.y, index.z));
+        if region[bit / 64] >> (bit % 64) & 1 == 0 {
+            region[bit / 64] |= 1 << (bit % 64);
+            targets.push((*index, plane_within(*index, LOWEST, HIGHEST)));
+        }
     }
 }
 

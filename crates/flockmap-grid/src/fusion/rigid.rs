@@ -40,6 +40,17 @@ impl Rigid {
         Self { rotation: pose.rotation_rows(), translation: pose.translation().map(|t| t * scale) }
     }
 
+    /// The motion of what was shifted before.
+    pub(super) fn after_shift(&self, shift: [f64; 3]) -> Self {
+        Self { rotation: self.rotation, translation: self.transform(shift) }
+    }
+
+    /// The motion, and a shift after it.
+    pub(super) fn before_shift(&self, shift: [f64; 3]) -> Self {
+        let translation = core::array::from_fn(|axis| self.translation[axis] + shift[axis]);
+        Self { rotation: self.rotation, translation }
+    }
+
     /// The image of a point, in voxels.
     pub(super) fn transform(&self, p: [f64; 3]) -> [f64; 3] {
         core::array::from_fn(|axis| {

@@ -87,7 +87,7 @@ impl Fusion {
         let nothing = Default::default();
         let source = source.unwrap_or(&nothing);
         let (growth, new_blocks) = source.layer.growth_max(parts);
-        let layer_growth = growth + sensors * SENSOR_BYTES;
+        let layer_growth = growth + sensors * SENSOR_BYTES + source.spans.growth_max(new_blocks);
         if stream == self.sources.own {
             let (held, max) = (source.layer.memory_bytes(), self.config.own_layer_bytes_max);
             let is_within = held + layer_growth <= max;
@@ -99,7 +99,8 @@ impl Fusion {
         }
         let reached = self.maps().map(|fused| {
             let origin = fused.settings.origin(stream.origin);
-            match (origin.is_muted, origin.alignment().is_identity()) {
+            let is_shift = origin.alignment().is_shift() && fused.settings.is_unmoved(stream);
+            match (origin.is_muted, is_shift) {
                 (true, _) => 0,
                 (false, true) => new_blocks,
                 (false, false) => new_blocks * REACHED_BLOCKS,

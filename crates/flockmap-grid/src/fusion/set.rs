@@ -101,7 +101,7 @@ impl Fusion {
         }
     }
 
-    fn settings_mut(&mut self) -> impl Iterator<Item = &mut Settings> {
+    pub(super) fn settings_mut(&mut self) -> impl Iterator<Item = &mut Settings> {
         let next = self.next.as_mut().map(|next| &mut next.fused.settings);
         [&mut self.shown.settings, &mut self.wanted].into_iter().chain(next)
     }

@@ -3,15 +3,18 @@
 use std::collections::BTreeMap;
 
 use super::align::Alignment;
-use crate::{BlockIndex, Layer, Plane, Pose, Resolution, RobotId, Stamp, State, StateBlock, Voxel};
+use crate::{Pose, Resolution, RobotId, Sheet, Stream, SubmapId};
 
 /// By which rules layers become a map.
 #[derive(Clone, Debug)]
 pub(super) struct Settings {
     pub own_priority_micros: i64,
+    resolution: Resolution,
     origins: BTreeMap<RobotId, Origin>,
     /// Of origins for which nothing was set.
     unset: Origin,
+    /// `T_map_submap` by streams: a submap without one lies as the one before it does, the first one as its stream.
+    submaps: BTreeMap<Stream, BTreeMap<SubmapId, Pose>>,
 }
 
 /// What is set for the layers of an origin.
@@ -28,7 +31,55 @@ impl Settings {
         let pose = Pose::IDENTITY;
         let alignment = Alignment::new(&pose, resolution);
         let unset = Origin { pose, alignment, clock_offset_micros: 0, is_muted: false };
-        Self { own_priority_micros, origins: BTreeMap::new(), unset }
+        Self { own_priority_micros, resolution, origins: BTreeMap::new(), unset, submaps: BTreeMap::new() }
+    }
+
+    /// How a submap lies in the map of its stream.
+    pub(super) fn submap(&self, stream: Stream, submap: SubmapId) -> Pose {
+        let of_stream = self.submaps.get(&stream);
+        let newest = of_stream.and_then(|submaps| submaps.range(..=submap).next_back());
+        newest.map_or(Pose::IDENTITY, |(_, pose)| *pose)
+    }
+
+    pub(super) fn set_submap(&mut self, stream: Stream, submap: SubmapId, pose: Pose) {
+        self.submaps.entry(stream).or_default().insert(submap, pose);
+    }
+
+    /// Whether all submaps of a stream lie as the stream does.
+    pub(super) fn is_unmoved(&self, stream: Stream) -> bool {
+        let submaps = self.submaps.get(&stream);
+        submaps.is_none_or(|submaps| submaps.values().all(|pose| *pose == Pose::IDENTITY))
+    }
+
+    /// The submaps of one stream are those of another one from now on.
+    pub(super) fn rename(&mut self, from: Stream, to: Stream) {
+        if let Some(submaps) = self.submaps.remove(&from) {
+            self.submaps.insert(to, submaps);
+        }
+    }
+
+    /// As if nothing had been set for the submaps of a stream.
+    pub(super) fn forget_submaps(&mut self, stream: Stream) {
+        self.submaps.remove(&stream);
+    }
+
+    /// How what lies on a sheet in a submap of a stream lies in the fused map; `None` if that is beyond the grid.
+    /// `is_own`: it is the own stream, whose map the fused one is.
+    pub(super) fn alignment(
+        &self,
+        stream: Stream,
+        is_own: bool,
+        submap: SubmapId,
+        sheet: Sheet,
+    ) -> Option<Alignment> {
+        let origin = if is_own { &self.unset } else { self.origin(stream.origin) };
+        let pose = self.submap(stream, submap);
+        if pose == Pose::IDENTITY {
+            return Some(origin.alignment().of_sheet(sheet));
+        }
+        let placed = origin.pose().compose(&pose);
+        placed.check(self.resolution).ok()?;
+        Some(Alignment::new(&placed, self.resolution).of_sheet(sheet))
     }
 
     pub(super) fn origin(&self, id: RobotId) -> &Origin {
@@ -68,24 +119,5 @@ impl Origin {
         self.is_muted == other.is_muted
             && self.clock_offset_micros == other.clock_offset_micros
             && self.pose == other.pose
-    }
-
-    /// What a layer says of voxels in the own frame, block by block, with the number of the target.
-    pub(super) fn blocks(
-        &self,
-        layer: &Layer,
-        targets: &[(BlockIndex, Plane)],
-        mut source: impl FnMut(usize, StateBlock),
-    ) {
-        if !self.alignment.is_identity() {
-            return self.alignment.blocks(layer, targets, source);
-        }
-        for (number, block) in layer.blocks_at(targets.iter().map(|(index, _)| *index)) {
-            source(number, block.masked(&targets[number].1));
-        }
-    }
-
-    pub(super) fn look_up(&self, layer: &Layer, voxel: Voxel) -> Option<(State, Stamp)> {
-        if self.alignment.is_identity() { layer.get(voxel) } else { self.alignment.look_up(layer, voxel) }
     }
 }

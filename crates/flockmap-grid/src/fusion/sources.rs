@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use super::received::Received;
 use crate::layer::PackedCube;
+use crate::submap::Spans;
 use crate::unpacked::Unpacked;
-use crate::{DiscardedLayer, Layer, RobotId, Stream};
+use crate::{BlockIndex, DiscardedLayer, Layer, RobotId, Stream};
 
 /// What came of a stream.
 #[derive(Default)]
@@ -15,6 +16,10 @@ pub(super) struct Source {
     pub layer: Layer,
     /// When it came here. Of the own stream nothing is noted: the mapper says what was seen when.
     pub received: Received,
+    /// Which of its blocks are in which submap.
+    pub spans: Spans,
+    /// Cubes of the layer with blocks that may be in another submap than was known when they came.
+    pub unnoted: Vec<BlockIndex>,
     /// No two sources have the same, also of a stream that comes back.
     number: u64,
 }
@@ -43,7 +48,10 @@ struct Leaving {
 
 impl Source {
     pub(super) fn memory_bytes(&self) -> usize {
-        self.layer.memory_bytes() + self.received.memory_bytes()
+        self.layer.memory_bytes()
+            + self.received.memory_bytes()
+            + self.spans.memory_bytes()
+            + self.unnoted.capacity() * size_of::<BlockIndex>()
     }
 
     pub(super) const fn number(&self) -> u64 {
@@ -82,6 +90,17 @@ impl Sources {
         others.map(|(stream, source)| (stream, source, false)).chain(leaving)
     }
 
+    /// The source with this number, with its stream.
+    pub(super) fn numbered(&self, number: u64) -> Option<(Stream, &Source)> {
+        let leaving = self.leaving.iter().map(|leaving| (leaving.stream, &leaving.source));
+        self.iter().chain(leaving).find(|(_, source)| source.number() == number)
+    }
+
+    /// A stream with blocks of which it is to be noted in which submap they are.
+    pub(super) fn unnoted(&self) -> Option<Stream> {
+        self.iter().find(|(_, source)| !source.unnoted.is_empty()).map(|(stream, _)| stream)
+    }
+
     /// Whether there is something of an origin in a map, or was.
     pub(super) fn has_of(&self, origin: RobotId) -> bool {
         self.of_others(false).any(|(stream, _, _)| stream.origin == origin)
@@ -109,8 +128,7 @@ impl Sources {
     pub(super) fn change<T>(&mut self, stream: Stream, change: impl FnOnce(&mut Source) -> T) -> T {
         let source = self.sources.entry(stream).or_insert_with(|| {
             self.numbers += 1;
-            let (layer, received) = (Layer::new(&self.unpacked), Received::default());
-            Source { layer, received, number: self.numbers }
+            Source { layer: Layer::new(&self.unpacked), number: self.numbers, ..Source::default() }
         });
         let before = source.memory_bytes();
         let result = change(source);
@@ -157,11 +175,11 @@ impl Sources {
         self.leaving.iter_mut().for_each(|leaving| leaving.is_left_out = true);
     }
 
-    /// The map that was made without those that were left out is shown: they are discarded. Returns of whom they were.
-    pub(super) fn discard_left_out(&mut self) -> Vec<RobotId> {
+    /// The map that was made without those that were left out is shown: they are discarded. Returns which they were.
+    pub(super) fn discard_left_out(&mut self) -> Vec<Stream> {
         let mut dropped = Vec::new();
         for Leaving { stream, source, .. } in self.leaving.extract_if(.., |leaving| leaving.is_left_out) {
-            dropped.push(stream.origin);
+            dropped.push(stream);
             let bytes = source.memory_bytes();
             self.discarded.push((source.layer.discard(), bytes));
         }

@@ -1,5 +1,6 @@
 mod rebuild;
 mod room;
+mod submaps;
 mod view;
 
 use std::collections::BTreeMap;
@@ -7,7 +8,9 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 
 use super::*;
-use crate::{MapperConfig, Pose, Preset, Scan, State, StateBlock, Voxel, VoxelBox, Which, set_bits};
+use crate::{
+    MapperConfig, Pose, Preset, Scan, State, StateBlock, Voxel, VoxelBox, Which, set_bits, voxel_bit,
+};
 
 const OWN: Stream = Stream { origin: RobotId(1), epoch: 1 };
 

@@ -1,10 +1,10 @@
 //! The map is made anew a part at a time, or at once.
 
-use std::collections::BTreeMap;
-
 use super::Fusion;
+use super::parts::merge;
 use super::rebuild::Rebuild;
-use crate::{BlockIndex, Mapper, Plane};
+use super::settings::Settings;
+use crate::Mapper;
 
 /// So many blocks of a layer are let go of in the time in which one block of the map is worked out.
 const FREED_PER_BLOCK: usize = 16;
@@ -17,8 +17,9 @@ impl Fusion {
     /// O(`blocks_max`), 10 to 40 µs for a block as a rule; O(cubes of 4³ blocks of the layers) when it begins, O(blocks
     /// that changed meanwhile) when it ends.
     pub fn work(&mut self, mapper: &Mapper, blocks_max: usize) -> bool {
-        if self.next.is_none() {
-            self.begin();
+        self.note_late(mapper, blocks_max.max(1));
+        if self.next.is_none() && self.sources.unnoted().is_none() {
+            self.begin(mapper);
         }
         if let Some(mut next) = self.next.take() {
             self.refreshed += next.work(&self.shown, &self.sources, mapper, blocks_max) as u64;
@@ -35,7 +36,8 @@ impl Fusion {
 
     /// Whether something was set or forgotten that is not in force yet: call [`Self::work`].
     pub fn is_rebuilding(&self) -> bool {
-        self.next.is_some() || !self.due.is_empty() || self.sources.is_any_leaving()
+        let is_due = !self.due.is_empty() || !self.due_submaps.is_empty();
+        self.next.is_some() || is_due || self.sources.is_any_leaving() || self.sources.unnoted().is_some()
     }
 
     /// Whether [`Self::work`] has anything to do: the map is made anew, or layers that were forgotten are let go of.
@@ -53,43 +55,54 @@ impl Fusion {
     pub fn rebuild(&mut self, mapper: &Mapper) {
         self.next = None;
         self.due.clear();
+        self.due_submaps.clear();
+        self.note_late(mapper, usize::MAX);
         self.sources.leave_out();
         self.forget_left_out();
         self.sources.free(usize::MAX);
         self.shown.settings = self.wanted.clone();
         self.shown.outdated.clear();
-        let mut reached: BTreeMap<BlockIndex, Plane> = mapper.blocks().map(|(i, b)| (i, b.known())).collect();
-        for (index, states) in self.shown.view.blocks() {
-            let all = reached.entry(index).or_default();
-            *all = core::array::from_fn(|z| all[z] | states.known()[z]);
-        }
-        for (id, _, source) in self.shown.heard(&self.sources) {
+        let (shown, own) = (&self.shown, self.sources.own);
+        let mut reached: Vec<_> =
+            shown.view.blocks().map(|(index, states)| (index, states.known())).collect();
+        let of_mapper: Vec<_> = mapper.blocks().map(|(index, block)| (index, block.known())).collect();
+        reached.extend_from_slice(&shown.reach_own(own, mapper, &of_mapper));
+        for (stream, source) in self.sources.iter() {
             let known: Vec<_> = source.layer.blocks().map(|(index, block)| (index, block.known())).collect();
-            for (index, mask) in self.shown.reach(id, &known).iter() {
-                let all = reached.entry(*index).or_default();
-                *all = core::array::from_fn(|z| all[z] | mask[z]);
-            }
+            reached.extend_from_slice(&shown.reach(stream, source, stream == own, &known));
         }
-        let reached: Vec<_> = reached.into_iter().collect();
+        let reached = merge(reached);
         self.refreshed += reached.len() as u64;
         self.shown.refresh(&self.sources, mapper, &reached);
         self.shown.view.forget_emptied();
     }
 
     /// Begins to make the map by what is set now, if that makes a difference.
-    fn begin(&mut self) {
-        let Self { shown, wanted, due, sources, .. } = self;
+    fn begin(&mut self, mapper: &Mapper) {
+        let Self { shown, wanted, due, due_submaps, sources, .. } = self;
         let mut due = core::mem::take(due);
         due.retain(|id| !wanted.origin(*id).is_as(shown.settings.origin(*id)) || shown.outdated.contains(id));
-        if !due.is_empty() || sources.is_any_leaving() {
-            self.next = Some(Rebuild::begin(shown, wanted.clone(), &due, sources));
+        let mut submaps = Vec::new();
+        for stream in core::mem::take(due_submaps) {
+            let Some(source) = sources.get(stream) else { continue };
+            let known = source.spans.submaps();
+            let of_stream = |settings: &Settings, submap| settings.submap(stream, submap);
+            let moved =
+                known.filter(|submap| of_stream(wanted, *submap) != of_stream(&shown.settings, *submap));
+            submaps.extend(moved.map(|submap| (stream, submap)));
+        }
+        if !due.is_empty() || !submaps.is_empty() || sources.is_any_leaving() {
+            self.next = Some(Rebuild::begin(shown, wanted.clone(), &due, &submaps, sources, mapper));
         }
     }
 
     /// What was left out is in no map any more.
     fn forget_left_out(&mut self) {
-        for origin in self.sources.discard_left_out() {
-            self.forget_plain(origin);
+        for stream in self.sources.discard_left_out() {
+            self.forget_plain(stream.origin);
+            if self.sources.get(stream).is_none() {
+                self.settings_mut().for_each(|settings| settings.forget_submaps(stream));
+            }
         }
     }
 }

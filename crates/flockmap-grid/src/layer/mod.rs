@@ -203,6 +203,11 @@ impl Layer {
         self.with_block(index, |block| block.states)
     }
 
+    /// The newest stamp of a block. Cost as of [`Self::state`].
+    pub(crate) fn newest_of(&self, index: BlockIndex) -> Option<Stamp> {
+        self.with_block(index, |block| block.stamps.newest())
+    }
+
     /// The states of blocks of which something is known, with their numbers in the list. What follows each other in a
     /// cube is looked up once.
     pub(crate) fn blocks_at<'a>(

@@ -2,12 +2,12 @@
 
 use super::config::Rules;
 use super::rays::TouchedBlock;
-use crate::{BLOCK_VOXELS, Plane, State, StateBlock, set_bits};
+use crate::{BLOCK_VOXELS, Plane, Sheet, State, StateBlock, SubmapId, set_bits};
 
 /// Log-odds of a voxel that no ray has touched.
 pub(super) const UNOBSERVED: i16 = i16::MIN;
 
-/// 512 voxels of the map: 2,304 bytes.
+/// 512 voxels of the map: 2,312 bytes.
 #[derive(Clone)]
 pub(super) struct MapBlock {
     log_odds: [i16; BLOCK_VOXELS],
@@ -16,15 +16,22 @@ pub(super) struct MapBlock {
     states: StateBlock,
     /// The states that were published last.
     packed: StateBlock,
+    /// Where what is published of it goes.
+    pub(super) sheet: Sheet,
+    /// The submap in which it was touched last.
+    pub(super) submap: SubmapId,
 }
 
 impl MapBlock {
-    pub(super) fn new() -> Self {
+    /// Nothing of it is known.
+    pub(super) fn new(sheet: Sheet, submap: SubmapId) -> Self {
         Self {
             log_odds: [UNOBSERVED; BLOCK_VOXELS],
             seen: [0; BLOCK_VOXELS],
             states: StateBlock::default(),
             packed: StateBlock::default(),
+            sheet,
+            submap,
         }
     }
 
@@ -172,7 +179,7 @@ mod tests {
             bit in 0..BLOCK_VOXELS,
         ) {
             let rules = rules(preset);
-            let mut block = MapBlock::new();
+            let mut block = MapBlock::new(Sheet::FIRST, SubmapId::FIRST);
             let mut value = None;
             for (number, (misses, hits)) in scans.into_iter().enumerate() {
                 let mut miss_counts = [0; BLOCK_VOXELS];
@@ -210,7 +217,7 @@ mod tests {
             block.update(&rules, 1, &mut counts);
             block.states().get(77)
         };
-        let mut block = MapBlock::new();
+        let mut block = MapBlock::new(Sheet::FIRST, SubmapId::FIRST);
         assert_eq!(apply(&mut block, 1, 0), State::Free);
         assert_eq!(apply(&mut block, 60, 1), State::Occupied);
         assert_eq!(apply(&mut block, 0, 9), State::Occupied);
@@ -224,7 +231,7 @@ mod tests {
     #[test]
     fn only_what_differs_from_what_was_packed_is_a_change() {
         let rules = rules(Preset::OctoMap);
-        let mut block = MapBlock::new();
+        let mut block = MapBlock::new(Sheet::FIRST, SubmapId::FIRST);
         let apply = |block: &mut MapBlock, misses: u16, hits: u16| {
             let (mut m, mut h) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
             (m[0], h[0]) = (misses, hits);

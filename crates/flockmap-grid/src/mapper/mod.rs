@@ -6,18 +6,21 @@ mod config;
 mod memory;
 mod rays;
 mod states;
+mod submaps;
 mod take;
 
 use rustc_hash::FxHashMap;
 
 use crate::memory::table_bytes;
-use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, Voxel, voxel_bit};
+use crate::{BlockIndex, Plane, Pose, Scan, Sheet, Stamp, State, StateBlock, SubmapId, Voxel, voxel_bit};
 use block::MapBlock;
 use config::Rules;
 pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset};
 pub use memory::MAP_BLOCK_BYTES;
 use memory::{ENTRY_BYTES, FarKey, PENDING_BYTES};
 use rays::{Ray, RayCounts};
+pub(crate) use submaps::OwnBlocks;
+use submaps::Submaps;
 
 /// A robot's own occupancy map, made from its own scans (paper Alg. 1, line 6 to 12).
 ///
@@ -37,6 +40,7 @@ pub struct Mapper {
     place: Option<[f64; 3]>,
     /// Stamp of scan, or update with states, number `i + 1`.
     scan_stamps: Vec<Stamp>,
+    submaps: Submaps,
 }
 
 /// A sphere in the frame of the map, in metres.
@@ -62,6 +66,8 @@ pub struct ScanReport {
     pub changed: Vec<(BlockIndex, StateBlock)>,
     /// Blocks that were forgotten under the byte cap, or not even taken in, ascending.
     pub forgotten: Vec<BlockIndex>,
+    /// Blocks in which what was known is not any more, or not in the same submap.
+    pub moved: Vec<MovedBlock>,
     /// Rays that ended with a hit.
     pub hits: usize,
     /// Rays that were cut, or came back with nothing: they carve free space only.
@@ -70,6 +76,19 @@ pub struct ScanReport {
     pub ignored: usize,
     /// Points that were ignored since they lie on a team-mate.
     pub masked: usize,
+}
+
+/// A block of the own map before something became of it.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct MovedBlock {
+    /// Which one.
+    pub index: BlockIndex,
+    /// The submap in which it was.
+    pub submap: SubmapId,
+    /// The sheet on which it was published.
+    pub sheet: Sheet,
+    /// What was known of it.
+    pub known: Plane,
 }
 
 /// Which changes to take.
@@ -101,6 +120,7 @@ impl Mapper {
             rays: Vec::new(),
             place: None,
             scan_stamps: Vec::new(),
+            submaps: Submaps::default(),
         })
     }
 
@@ -149,6 +169,14 @@ impl Mapper {
                 continue;
             }
             let rules = self.rules;
+            if self.is_over(counts.index) {
+                let kept = counts.copy();
+                if !self.revisit(counts.index, &mut report, |block| block.update(&rules, number, &mut counts))
+                {
+                    continue;
+                }
+                counts.put_back(kept);
+            }
             self.change(counts.index, &mut report, |block| block.update(&rules, number, &mut counts));
         }
         self.counts = counts;
@@ -164,7 +192,9 @@ impl Mapper {
         report: &mut ScanReport,
         change: impl FnOnce(&mut MapBlock) -> Plane,
     ) {
-        let block = self.blocks.entry(index).or_insert_with(|| Box::new(MapBlock::new()));
+        let submaps = &mut self.submaps;
+        let block = self.blocks.entry(index).or_insert_with(|| Box::new(submaps.new_block()));
+        submaps.note_touched(index, block, &mut report.moved);
         let before = *block.states();
         let touched = change(block);
         if *block.states() != before {
@@ -330,7 +360,9 @@ impl Mapper {
         let keep = (blocks_max - blocks_max / 10).max(1);
         let (_, &mut end, _) = far.select_nth_unstable(keep);
         for (_, index) in &far[keep..] {
-            self.blocks.remove(index);
+            if let Some(block) = self.blocks.remove(index) {
+                self.submaps.note_forgotten(*index, &block, &mut report.moved);
+            }
             if let Some(known) = self.pending_blocks.remove(index) {
                 self.pending -= known as usize;
             }

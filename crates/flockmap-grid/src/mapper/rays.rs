@@ -127,7 +127,22 @@ pub(super) struct TouchedBlock<'a> {
     pub(super) hits: Option<&'a mut [u16; BLOCK_VOXELS]>,
 }
 
+/// The counts of a block: misses, and hits if any ray ended there.
+type Counts = ([u16; BLOCK_VOXELS], Option<[u16; BLOCK_VOXELS]>);
+
 impl TouchedBlock<'_> {
+    /// The counts, to be [put back](Self::put_back) when they are used up.
+    pub(super) fn copy(&self) -> Counts {
+        (*self.misses, self.hits.as_deref().copied())
+    }
+
+    pub(super) fn put_back(&mut self, (misses, hits): Counts) {
+        *self.misses = misses;
+        if let (Some(to), Some(hits)) = (self.hits.as_deref_mut(), hits) {
+            *to = hits;
+        }
+    }
+
     /// Sets the counts back to zero.
     pub(super) fn clear(self) {
         *self.misses = [0; BLOCK_VOXELS];

@@ -1,5 +1,6 @@
 //! States from a mapper elsewhere, set in place of what scans would have made of them.
 
+use super::block::MapBlock;
 use super::{Mapper, ScanReport, far_key};
 use crate::block::plane_within;
 use crate::{
@@ -57,10 +58,13 @@ impl Mapper {
             }
             let (states, mask) = said.within(index, self.block(index));
             let rules = self.rules;
-            self.change(index, &mut report, |block| {
+            let set = |block: &mut MapBlock| {
                 block.set(&rules, number, &states, &mask);
                 mask
-            });
+            };
+            if !self.is_over(index) || self.revisit(index, &mut report, set) {
+                self.change(index, &mut report, set);
+            }
         }
         self.note_tables();
         Ok(report)

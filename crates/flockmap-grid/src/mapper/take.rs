@@ -83,7 +83,8 @@ impl Mapper {
                 self.pending_blocks.remove(&index);
             }
             if part_count > 0 {
-                taken.push((index, part));
+                // A block begins anew only where the sheet has room.
+                taken.extend(block.sheet.block(index).map(|index| (index, part)));
             }
         }
         taken.sort_unstable_by_key(|(index, _)| *index);

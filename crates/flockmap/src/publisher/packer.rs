@@ -255,6 +255,12 @@ impl Packer {
         Some((self.batch(start, end, middle), changes))
     }
 
+    /// A batch without a scan.
+    pub(super) fn batch_of_records(&mut self) -> Batch {
+        let end = self.end();
+        self.batch(None, end, self.newest_sensor)
+    }
+
     /// Between where the sensor was at the first scan of a batch and where it is now.
     fn middle_sensor(&mut self) -> [i32; 3] {
         let (first, last) = (self.first_sensor.take().unwrap_or(self.newest_sensor), self.newest_sensor);

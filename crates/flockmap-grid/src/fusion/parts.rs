@@ -1,0 +1,256 @@
+//! The parts of what robots have seen, each of which lies in the fused map in one way.
+
+use std::borrow::Cow;
+
+use super::align::{Alignment, Blocks};
+use super::fused::Fused;
+use super::received::Received;
+use super::sources::{Source, Sources};
+use crate::mapper::OwnBlocks;
+use crate::submap::{BlockBox, Spans, is_reserved};
+use crate::{
+    BlockIndex, Layer, Mapper, Plane, RobotId, Sheet, Stamp, State, StateBlock, Stream, SubmapId, Voxel,
+};
+
+/// What is known of one robot in one frame: a layer, a submap on a sheet of one, or a submap of the own map.
+pub(super) struct Part<'a> {
+    pub id: RobotId,
+    alignment: Cow<'a, Alignment>,
+    blocks: PartBlocks<'a>,
+    /// When it came here, and how far the clock of its origin is off; `None`: it is of this robot.
+    received: Option<(&'a Received, i64)>,
+}
+
+enum PartBlocks<'a> {
+    Layer(&'a Layer),
+    Submap { layer: &'a Layer, spans: &'a Spans, submap: SubmapId, sheet: Sheet },
+    Own(OwnBlocks<'a>),
+    OwnBefore { layer: &'a Layer, spans: &'a Spans, submap: SubmapId, sheet: Sheet, mapper: &'a Mapper },
+}
+
+impl PartBlocks<'_> {
+    /// Whether a block of a layer is of this part.
+    fn has(&self, index: BlockIndex) -> bool {
+        let is_of =
+            |spans: &Spans, submap, sheet| Sheet::of(index) == Some(sheet) && spans.of(index) == Some(submap);
+        match *self {
+            Self::Layer(_) | Self::Own(_) => true,
+            Self::Submap { spans, submap, sheet, .. } => is_of(spans, submap, sheet),
+            Self::OwnBefore { spans, submap, sheet, mapper, .. } => {
+                is_over(mapper, index) && is_of(spans, submap, sheet)
+            }
+        }
+    }
+}
+
+/// Whether the own map has begun a block anew since what was published there.
+fn is_over(mapper: &Mapper, index: BlockIndex) -> bool {
+    let Some(sheet) = Sheet::of(index) else { return false };
+    mapper.place_of(sheet.local(index)).is_some_and(|(_, now)| now > sheet)
+}
+
+impl Blocks for PartBlocks<'_> {
+    fn block(&self, index: BlockIndex) -> Option<StateBlock> {
+        match self {
+            Self::Own(blocks) => blocks.block(index),
+            Self::Layer(layer) => layer.block(index),
+            Self::Submap { layer, .. } | Self::OwnBefore { layer, .. } => {
+                layer.block(index).filter(|_| self.has(index))
+            }
+        }
+    }
+
+    fn get(&self, voxel: Voxel) -> Option<(State, Stamp)> {
+        match self {
+            Self::Own(blocks) => blocks.get(voxel),
+            Self::Layer(layer) => layer.get(voxel),
+            Self::Submap { layer, .. } | Self::OwnBefore { layer, .. } => {
+                layer.get(voxel).filter(|_| self.has(voxel.block()))
+            }
+        }
+    }
+
+    fn each_block(
+        &self,
+        indices: impl Iterator<Item = BlockIndex>,
+        mut found: impl FnMut(usize, StateBlock),
+    ) {
+        if let Self::Layer(layer) = self {
+            return layer.each_block(indices, found);
+        }
+        for (number, index) in indices.enumerate() {
+            if let Some(block) = self.block(index) {
+                found(number, block);
+            }
+        }
+    }
+}
+
+impl Part<'_> {
+    /// What it says of voxels of the fused map, block by block, with the number of the target.
+    pub(super) fn blocks(&self, targets: &[(BlockIndex, Plane)], found: impl FnMut(usize, StateBlock)) {
+        self.alignment.blocks(&self.blocks, targets, found);
+    }
+
+    /// What it says of a voxel of the fused map, and when that counts as made.
+    pub(super) fn look_up(&self, voxel: Voxel, own_priority_micros: i64) -> Option<(State, Stamp)> {
+        let (state, stamp) = self.alignment.look_up(&self.blocks, voxel)?;
+        let made = match self.received {
+            Some((received, clock_offset_micros)) => received.made(stamp, clock_offset_micros),
+            None => stamp.plus_micros(own_priority_micros),
+        };
+        Some((state, made))
+    }
+}
+
+impl Fused {
+    /// Whether the own map lies in the fused one as it is, and all of it is in the mapper.
+    pub(super) fn is_own_plain(&self, own: Stream, mapper: &Mapper) -> bool {
+        mapper.begun_anew() == 0 && self.settings.is_unmoved(own)
+    }
+
+    /// All parts that may have a say in a box of the fused map, but for the own map where that is plain.
+    pub(super) fn parts<'a>(
+        &'a self,
+        sources: &'a Sources,
+        mapper: &'a Mapper,
+        targets: &BlockBox,
+    ) -> Vec<Part<'a>> {
+        let mut parts = Vec::new();
+        for (stream, source, _) in sources.of_others(self.is_next) {
+            let origin = self.settings.origin(stream.origin);
+            if origin.is_muted {
+                continue;
+            }
+            let received = Some((&source.received, origin.clock_offset_micros));
+            if source.spans.is_empty() {
+                let alignment = match self.settings.is_unmoved(stream) {
+                    true => Some(Cow::Borrowed(origin.alignment())),
+                    false => {
+                        self.settings.alignment(stream, false, SubmapId::FIRST, Sheet::FIRST).map(Cow::Owned)
+                    }
+                };
+                let (id, blocks) = (stream.origin, PartBlocks::Layer(&source.layer));
+                parts.extend(alignment.map(|alignment| Part { id, alignment, blocks, received }));
+                continue;
+            }
+            self.add_submaps(stream, false, &source.spans, targets, |alignment, submap, sheet| {
+                let (layer, spans) = (&source.layer, &source.spans);
+                let blocks = PartBlocks::Submap { layer, spans, submap, sheet };
+                parts.push(Part { id: stream.origin, alignment, blocks, received });
+            });
+        }
+        let own = sources.own;
+        if self.is_own_plain(own, mapper) {
+            return parts;
+        }
+        for (submap, blocks) in mapper.submaps() {
+            let alignment = self.settings.alignment(own, true, submap, Sheet::FIRST);
+            if let Some(alignment) = alignment.filter(|alignment| alignment.image_of(&blocks).meets(targets))
+            {
+                let (alignment, blocks) = (Cow::Owned(alignment), PartBlocks::Own(mapper.blocks_of(submap)));
+                parts.push(Part { id: own.origin, alignment, blocks, received: None });
+            }
+        }
+        if let Some(source) = sources.get(own).filter(|_| mapper.begun_anew() > 0) {
+            self.add_submaps(own, true, &source.spans, targets, |alignment, submap, sheet| {
+                let (layer, spans) = (&source.layer, &source.spans);
+                let blocks = PartBlocks::OwnBefore { layer, spans, submap, sheet, mapper };
+                parts.push(Part { id: own.origin, alignment, blocks, received: None });
+            });
+        }
+        parts
+    }
+
+    fn add_submaps(
+        &self,
+        stream: Stream,
+        is_own: bool,
+        spans: &Spans,
+        targets: &BlockBox,
+        mut add: impl FnMut(Cow<'static, Alignment>, SubmapId, Sheet),
+    ) {
+        for (submap, sheet, blocks) in spans.parts() {
+            let alignment = self.settings.alignment(stream, is_own, submap, sheet);
+            if let Some(alignment) = alignment.filter(|alignment| alignment.image_of(&blocks).meets(targets))
+            {
+                add(Cow::Owned(alignment), submap, sheet);
+            }
+        }
+    }
+
+    /// The voxels on which these voxels of a layer can have a say, and few others.
+    pub(super) fn reach<'a>(
+        &self,
+        stream: Stream,
+        source: &Source,
+        is_own: bool,
+        voxels: &'a [(BlockIndex, Plane)],
+    ) -> Cow<'a, [(BlockIndex, Plane)]> {
+        let origin = self.settings.origin(stream.origin);
+        if origin.is_muted && !is_own {
+            return Cow::Borrowed(&[]);
+        }
+        if !source.spans.is_empty() || !is_own && !self.settings.is_unmoved(stream) {
+            let of = |(index, _): &(BlockIndex, Plane)| source.spans.of(*index);
+            return Cow::Owned(self.reach_by(stream, is_own, voxels, of));
+        }
+        if is_own {
+            return Cow::Borrowed(&[]);
+        }
+        if voxels.iter().any(|(index, _)| is_reserved(*index)) {
+            let voxels: Vec<_> = voxels.iter().copied().filter(|(index, _)| !is_reserved(*index)).collect();
+            return Cow::Owned(origin.alignment().reach(&voxels).into_owned());
+        }
+        origin.alignment().reach(voxels)
+    }
+
+    /// The same of the own map.
+    pub(super) fn reach_own<'a>(
+        &self,
+        own: Stream,
+        mapper: &Mapper,
+        voxels: &'a [(BlockIndex, Plane)],
+    ) -> Cow<'a, [(BlockIndex, Plane)]> {
+        if self.settings.is_unmoved(own) {
+            return Cow::Borrowed(voxels);
+        }
+        let of = |(index, _): &(BlockIndex, Plane)| mapper.place_of(*index).map(|(submap, _)| submap);
+        Cow::Owned(self.reach_by(own, true, voxels, of))
+    }
+
+    /// The same of voxels that are in these submaps, on their sheets; of those without one nothing.
+    pub(super) fn reach_by(
+        &self,
+        stream: Stream,
+        is_own: bool,
+        voxels: &[(BlockIndex, Plane)],
+        submap_of: impl Fn(&(BlockIndex, Plane)) -> Option<SubmapId>,
+    ) -> Vec<(BlockIndex, Plane)> {
+        let place_of = |at: &(BlockIndex, Plane)| Some((submap_of(at)?, Sheet::of(at.0)?));
+        let mut placed: Vec<_> = voxels.iter().filter_map(|at| Some((place_of(at)?, *at))).collect();
+        placed.sort_by_key(|(place, _)| *place);
+        let mut reached = Vec::new();
+        for together in placed.chunk_by(|(a, _), (b, _)| a == b) {
+            let (submap, sheet) = together[0].0;
+            if let Some(alignment) = self.settings.alignment(stream, is_own, submap, sheet) {
+                let voxels: Vec<_> = together.iter().map(|(_, at)| *at).collect();
+                reached.extend_from_slice(&alignment.reach(&voxels));
+            }
+        }
+        merge(reached)
+    }
+}
+
+/// Each block once.
+pub(super) fn merge(mut voxels: Vec<(BlockIndex, Plane)>) -> Vec<(BlockIndex, Plane)> {
+    voxels.sort_unstable_by_key(|(index, _)| *index);
+    voxels.dedup_by(|(later, more), (index, plane)| {
+        let is_same = later == index;
+        if is_same {
+            *plane = core::array::from_fn(|z| plane[z] | more[z]);
+        }
+        is_same
+    });
+    voxels
+}
