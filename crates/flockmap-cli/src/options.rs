@@ -33,6 +33,9 @@ pub struct MapArgs {
     /// A batch of mapping is sent once so many voxels have changed (the paper's d)
     #[arg(long, value_name = "N", default_value_t = 50_000)]
     pub batch_limit: usize,
+    /// A submap begins after so many metres of way of the sensor [default: one for all]
+    #[arg(long, value_name = "M")]
+    pub submap_length: Option<f64>,
     /// Rules of the mapper: rog-map, racer or octomap
     #[arg(long, value_name = "NAME", default_value_t = Preset::RogMap)]
     pub mapper: Preset,
@@ -174,7 +177,15 @@ impl MapArgs {
     /// A robot that maps and packs like this. Its id is still to be given.
     pub fn robot(&self, codec: Codec, seed: u64) -> anyhow::Result<RobotConfig> {
         let config = RobotConfig::new(RobotId(1), self.resolution()?, self.range);
-        Ok(RobotConfig { mapper: self.mapper()?, batch: self.batch()?, codec, seed, ..config })
+        let submap_length_m = self.submap_length;
+        if let Some(length) = submap_length_m {
+            ensure!(
+                (0.1..=1e6).contains(&length),
+                "--submap-length is {length}, expected 0.1 to 1,000,000 m"
+            );
+        }
+        let (mapper, batch) = (self.mapper()?, self.batch()?);
+        Ok(RobotConfig { mapper, batch, codec, seed, submap_length_m, ..config })
     }
 
     /// When batches close.

@@ -67,11 +67,15 @@ pub enum Mutation {
     RestUnasked,
     /// A piece of a state passes for all of it.
     PieceUnsaid,
+    /// Where a submap lies is taken in once, and not when it is moved again.
+    SubmapSetOnce,
+    /// What moved to another submap stays in the fused map where it was.
+    MovedShown,
 }
 
 impl Mutation {
     /// All of them.
-    pub const ALL: [Self; 29] = [
+    pub const ALL: [Self; 31] = [
         Self::StampCompareDropped,
         Self::LedgerIgnored,
         Self::CheckSkipped,
@@ -101,6 +105,8 @@ impl Mutation {
         Self::DroppedShown,
         Self::RestUnasked,
         Self::PieceUnsaid,
+        Self::SubmapSetOnce,
+        Self::MovedShown,
     ];
 }
 

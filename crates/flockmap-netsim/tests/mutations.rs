@@ -14,7 +14,8 @@ const fn finder(mutation: Mutation) -> &'static str {
             "layer"
         }
         Mutation::LateTakenOver | Mutation::DropUnsaid | Mutation::PieceUnsaid => "layer",
-        Mutation::DroppedShown => "fused",
+        Mutation::DroppedShown | Mutation::MovedShown => "fused",
+        Mutation::SubmapSetOnce => "poses",
         Mutation::RestUnasked => "agreement",
         Mutation::LedgerIgnored | Mutation::HoldingsIgnored => "twice",
         Mutation::CheckSkipped => "voxel",

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use flockmap::{Event, Path, Robot, Stamp, Stream};
+use flockmap::{Event, Path, Robot, Stamp, Stream, SubmapError, SubmapId};
 use tokio::sync::mpsc::{Receiver, UnboundedReceiver};
 
 use crate::alone::Alone;
@@ -303,6 +303,25 @@ impl<T: Transport> Driver<T> {
             Input::Teammate(robot, position) => {
                 if let Err(error) = self.robot.set_teammate(robot, position, now) {
                     self.take_fault(format!("where {robot:?} is was left out: {error}"));
+                }
+            }
+            Input::BeginSubmap => {
+                if let Err(error) = self.robot.begin_submap(now) {
+                    self.take_fault(format!("no submap was begun: {error}"));
+                }
+            }
+            Input::SubmapPose(number, pose) => {
+                let newest = self.robot.submap();
+                let submap = number.map_or(Some(newest), SubmapId::new);
+                let moved = match submap {
+                    Some(submap) => self.robot.set_submap_pose(now, submap, &pose),
+                    None => Err(SubmapError::NotBegun {
+                        wanted: number.unwrap_or_default(),
+                        newest: newest.number(),
+                    }),
+                };
+                if let Err(error) = moved {
+                    self.take_fault(format!("the submap stays where it was: {error}"));
                 }
             }
             Input::Fault(text) => self.take_fault(text),

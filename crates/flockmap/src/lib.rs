@@ -49,6 +49,7 @@ mod readers;
 mod republishing;
 mod robot;
 mod snapshots;
+mod submaps;
 
 pub use config::{BatchConfig, RobotConfig, RobotError};
 pub use counters::RobotCounters;
@@ -65,4 +66,9 @@ pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
 pub use piece::{PIECE_BYTES, Piece, PieceReader};
 pub use publisher::Packer;
-pub use robot::{KnownPose, REBUILD_BLOCKS, RestoreError, Robot, SubmapError};
+pub use robot::{KnownPose, REBUILD_BLOCKS, RestoreError, Robot};
+pub use submaps::SubmapError;
+
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/submaps.md")]
+struct Submaps;

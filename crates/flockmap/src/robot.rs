@@ -12,7 +12,6 @@ mod submaps;
 pub use poses::KnownPose;
 pub use restore::RestoreError;
 pub use slices::REBUILD_BLOCKS;
-pub use submaps::SubmapError;
 
 use core::time::Duration;
 use std::collections::BTreeMap;
@@ -34,6 +33,7 @@ use crate::publisher::Publisher;
 use crate::readers::Readers;
 use crate::republishing::Republishing;
 use crate::snapshots::Snapshots;
+use crate::submaps::Submaps;
 use crate::{Event, RobotConfig, RobotCounters, RobotError};
 
 /// Team-mates whose positions are kept.
@@ -65,7 +65,7 @@ pub struct Robot {
     /// The last slice was left out for a batch.
     is_slice_due: bool,
     teammates: BTreeMap<RobotId, Teammate>,
-    submaps: submaps::Submaps,
+    submaps: Submaps,
     /// Of the newest scan.
     pose: Option<(Stamp, Pose)>,
     events: Events,
@@ -118,7 +118,7 @@ impl Robot {
             turn: Work::default(),
             is_slice_due: false,
             teammates: BTreeMap::new(),
-            submaps: submaps::Submaps::default(),
+            submaps: Submaps::default(),
             pose: None,
             events: Events::default(),
             counters: RobotCounters::default(),
@@ -436,11 +436,11 @@ impl Robot {
 
     /// Voxels that have changed and are still to be published. What a team-mate is believed to know better,
     /// where a budget made the own observation late, is not among them: it is published when it is seen
-    /// again, or by [`flush`](Self::flush). With what a former run had published and is still to go out. O(blocks with
-    /// changes).
+    /// again, or by [`flush`](Self::flush). With what a former run had published and is still to go out, and one for each
+    /// submap of which something is to be said. O(blocks with changes).
     pub fn unpublished(&self) -> usize {
         let former = self.republishing.as_ref().map_or(0, Republishing::voxels_left);
-        former + self.publisher.unpublished(&self.mapper, &self.fusion)
+        former + self.submaps.unsaid.len() + self.publisher.unpublished(&self.mapper, &self.fusion)
     }
 
     /// Whether something of others was dropped for want of room, and there is no room for it yet: then nothing that

@@ -6,7 +6,7 @@ use std::borrow::Cow;
 use super::dropped::{Candidate, Dropped};
 use super::sources::Source;
 use super::{Fusion, FusionError};
-use crate::layer::cube_of;
+use crate::layer::{cube_of, first_of, is_kept};
 use crate::{BLOCK_SIDE, BlockIndex, Changes, Mapper, Plane, Sheet, Stamp, Stream, SubmapId};
 
 /// So many of all cubes are chosen at a time.
@@ -49,7 +49,13 @@ impl Fusion {
                     if !self.sources.is_any_leaving() && !self.sources.is_any_discarded() => {}
                 result => return result,
             }
-            let worst = self.worst(is_own, now).map_or(0, |candidate| candidate.rank);
+            let worst = self.worst(is_own, now).map(|candidate| candidate.rank);
+            let is_record = |(index, _): &(BlockIndex, _)| is_kept(cube_of(*index));
+            if worst.is_none() && parts.iter().all(|(_, part)| part.blocks().iter().all(is_record)) {
+                // What is said of submaps is never left out, and there is nothing else that could go.
+                return self.check_room(mapper, stream, parts.iter().map(|(_, part)| part), sensors);
+            }
+            let worst = worst.unwrap_or(0);
             if !self.leave_out(mapper, stream, parts, worst, now)
                 && let Some(Candidate { stream, at, .. }) = self.dropping.next[usize::from(is_own)].pop()
             {
@@ -82,7 +88,7 @@ impl Fusion {
         for (stamp, part) in parts.iter_mut() {
             let is_out = |index: BlockIndex| {
                 let at = cube_of(index);
-                self.rank(stream, at, newest(self, at, *stamp), now) >= worst
+                !is_kept(at) && self.rank(stream, at, newest(self, at, *stamp), now) >= worst
             };
             let (out, stay): (Vec<_>, Vec<_>) = part.blocks().iter().partition(|(index, _)| is_out(*index));
             if !out.is_empty() {
@@ -124,7 +130,8 @@ impl Fusion {
         let concerned = self.sources.iter().filter(|(stream, _)| (*stream == own) == is_own);
         let mut all: Vec<Candidate> = concerned
             .flat_map(|(stream, source)| {
-                source.layer.cubes_with_newest().map(move |(at, newest)| (stream, at, newest))
+                let cubes = source.layer.cubes_with_newest().filter(|(at, _)| !is_kept(*at));
+                cubes.map(move |(at, newest)| (stream, at, newest))
             })
             .map(|(stream, at, newest)| Candidate {
                 rank: self.rank(stream, at, newest, now),
@@ -146,9 +153,7 @@ impl Fusion {
     /// How little a cube is worth: its distance from the own robot times its age.
     fn rank(&self, stream: Stream, at: BlockIndex, stamp: Stamp, now: Stamp) -> u64 {
         let origin = self.wanted.origin(stream.origin);
-        // Where poses are told there is little, and all else depends on it.
-        let Some(sheet) = Sheet::of(BlockIndex::new(at.x * 4, at.y * 4, at.z * 4)) else { return 0 };
-        let middle = sheet.middle().map(f64::from);
+        let middle = Sheet::of(first_of(at)).unwrap_or_default().middle().map(f64::from);
         let centre = [at.x, at.y, at.z].map(|at| (f64::from(at) + 0.5) * CUBE_SIDE);
         let distance = self.dropping.near.map_or(0, |near| {
             let block_m = self.resolution.metres() * f64::from(BLOCK_SIDE);

@@ -3,7 +3,7 @@
 use core::cmp::Reverse;
 use std::collections::BTreeSet;
 
-use super::parts::Part;
+use super::part::Part;
 use super::settings::Settings;
 use super::sources::Sources;
 use super::view::MapView;

@@ -8,7 +8,7 @@ use super::fused::Fused;
 use super::region::region_of;
 use super::settings::Settings;
 use super::sources::Sources;
-use super::submaps::box_of_cube;
+use crate::submap::BlockBox;
 use crate::{
     BlockIndex, Mapper, Plane, RobotId, Stream, SubmapId, VOXEL_LIMIT, Voxel, plane_within, voxel_bit,
 };
@@ -57,7 +57,8 @@ impl Rebuild {
                 let parts = source.spans.parts().filter(|(submap, ..)| is_moved(*submap));
                 let boxes: Vec<_> = parts.map(|(.., blocks)| blocks).collect();
                 let is_there = |at: &BlockIndex| {
-                    source.spans.is_empty() || boxes.iter().any(|blocks| blocks.meets(&box_of_cube(*at)))
+                    source.spans.is_empty()
+                        || boxes.iter().any(|blocks| blocks.meets(&BlockBox::of_cube(*at)))
                 };
                 let found = source.layer.cube_indices().filter(is_there);
                 cubes.extend(found.map(|at| (source.number(), at)));

@@ -41,6 +41,11 @@ impl Settings {
         newest.map_or(Pose::IDENTITY, |(_, pose)| *pose)
     }
 
+    /// Whether it was said of a submap how it lies.
+    pub(super) fn has_submap(&self, stream: Stream, submap: SubmapId) -> bool {
+        self.submaps.get(&stream).is_some_and(|submaps| submaps.contains_key(&submap))
+    }
+
     pub(super) fn set_submap(&mut self, stream: Stream, submap: SubmapId, pose: Pose) {
         self.submaps.entry(stream).or_default().insert(submap, pose);
     }

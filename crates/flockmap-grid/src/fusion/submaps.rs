@@ -3,19 +3,20 @@
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 
+use flockmap_mutation::{self as mutation, Mutation};
 use rustc_hash::FxHashMap;
 
 use super::Fusion;
 use super::fused::Fused;
-use super::parts::merge;
+use super::reach::merge;
+use crate::layer::first_of;
 use crate::submap::{BlockBox, is_reserved, record};
-use crate::{BLOCK_VOXELS, BlockIndex, Mapper, MovedBlock, Plane, Pose, Sheet, State, Stream, SubmapId};
+use crate::{
+    BLOCK_VOXELS, BlockIndex, Mapper, MovedBlock, Plane, Pose, Sheet, Stamp, State, Stream, SubmapId,
+};
 
 /// A block of a layer that is in another submap from now on, and the one in which it was, if that was known.
 type Moved = (BlockIndex, Option<SubmapId>);
-
-/// Blocks along a side of a cube of a layer.
-const CUBE_SIDE: i32 = 4;
 
 impl Fusion {
     /// How a submap of a stream lies in the map of its stream, as far as that is known; the first one without a pose
@@ -56,6 +57,11 @@ impl Fusion {
         begun.into_iter()
     }
 
+    /// The stamp from which on a submap goes, as far as that is known; of the first one there is none.
+    pub fn submap_began(&self, stream: Stream, submap: SubmapId) -> Option<Stamp> {
+        self.sources.get(stream).and_then(|source| source.spans.began(submap))
+    }
+
     /// Blocks of a layer that are not fused, since it is not known in which submap they are. O(blocks).
     pub fn unplaced(&self, stream: Stream) -> usize {
         let Some(source) = self.sources.get(stream) else { return 0 };
@@ -79,14 +85,14 @@ impl Fusion {
         let begun = record.began.is_some_and(|began| {
             self.sources.change(stream, |source| {
                 let known_from = source.spans.first_begin();
-                let cubes = source.layer.cube_indices().filter(|at| !is_reserved(ends_of(*at)[0]));
-                let blocks = || BlockBox::around(cubes.flat_map(ends_of));
+                let cubes = source.layer.cube_indices().filter(|at| !is_reserved(first_of(*at)));
+                let blocks = || cubes.map(BlockBox::of_cube).reduce(BlockBox::union);
                 let is_new = source.spans.begin(submap, began, blocks);
                 if is_new {
                     // Of those on other sheets it may not have been known in which submap they are.
                     let is_earliest = known_from.is_none_or(|from| began < from);
                     let late = source.layer.cubes_with_newest().filter(|(at, newest)| {
-                        *newest >= began && (is_earliest || is_reserved(ends_of(*at)[0]))
+                        *newest >= began && (is_earliest || is_reserved(first_of(*at)))
                     });
                     source.unnoted.extend(late.map(|(at, _)| at));
                     source.unnoted.sort_unstable();
@@ -96,7 +102,8 @@ impl Fusion {
             })
         });
         let is_known = self.submaps(stream).any(|known| known == submap);
-        if let Some(pose) = record.pose.filter(|_| begun || is_known) {
+        let is_once = mutation::is(Mutation::SubmapSetOnce) && self.wanted.has_submap(stream, submap);
+        if let Some(pose) = record.pose.filter(|_| (begun || is_known) && !is_once) {
             self.set_submap_pose(stream, submap, pose);
         }
     }
@@ -154,6 +161,7 @@ impl Fusion {
         let is_own = stream == self.sources.own;
         let Some(source) = self.sources.get(stream) else { return };
         let submap_of: FxHashMap<_, _> = moved.iter().copied().collect();
+        let moved = if mutation::is(Mutation::MovedShown) { &[] } else { moved };
         let whole: Vec<(BlockIndex, Plane)> = moved
             .iter()
             .filter_map(|(index, _)| Some((*index, source.layer.block(*index)?.known())))
@@ -206,19 +214,4 @@ impl Fusion {
         let reached = merge(self.maps().flat_map(reach).collect());
         self.refresh(mapper, |_| Cow::Borrowed(&reached));
     }
-}
-
-/// The lowest and the highest block of a cube.
-fn ends_of(at: BlockIndex) -> [BlockIndex; 2] {
-    let low = BlockIndex::new(at.x * CUBE_SIDE, at.y * CUBE_SIDE, at.z * CUBE_SIDE);
-    let last = CUBE_SIDE - 1;
-    [low, BlockIndex::new(low.x + last, low.y + last, low.z + last)]
-}
-
-/// The box of a cube.
-pub(super) fn box_of_cube(at: BlockIndex) -> BlockBox {
-    let [low, high] = ends_of(at);
-    let mut cube = BlockBox::new(low);
-    cube.add(high);
-    cube
 }

@@ -1,7 +1,7 @@
 //! The map is made anew a part at a time, or at once.
 
 use super::Fusion;
-use super::parts::merge;
+use super::reach::merge;
 use super::rebuild::Rebuild;
 use super::settings::Settings;
 use crate::Mapper;

@@ -22,6 +22,11 @@ pub(crate) const fn cube_of(index: BlockIndex) -> BlockIndex {
     BlockIndex { x: index.x >> 2, y: index.y >> 2, z: index.z >> 2 }
 }
 
+/// The lowest block of a cube.
+pub(crate) const fn first_of(at: BlockIndex) -> BlockIndex {
+    BlockIndex { x: at.x << 2, y: at.y << 2, z: at.z << 2 }
+}
+
 pub(super) const fn place_of(index: BlockIndex) -> u32 {
     ((index.z & 3) << 4 | (index.y & 3) << 2 | (index.x & 3)) as u32
 }

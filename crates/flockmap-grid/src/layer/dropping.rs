@@ -1,8 +1,15 @@
 //! A layer that drops cubes for want of room.
 
+use super::cube::first_of;
 use super::dropped::Dropped;
 use super::{Layer, Place};
-use crate::{BlockIndex, Plane, Stamp};
+use crate::{BlockIndex, Plane, Sheet, Stamp};
+
+/// Whether nothing of a cube is ever dropped: what a stream says of its submaps, on which the place of all else depends.
+/// It is little.
+pub(crate) const fn is_kept(at: BlockIndex) -> bool {
+    Sheet::of(first_of(at)).is_none()
+}
 
 impl Layer {
     /// Of what packages said that were taken over, some is lacking, since there was no room for it: nothing newer than
@@ -19,7 +26,7 @@ impl Layer {
 
     /// Up to which stamp something may be lacking in a cube.
     pub(super) fn limit_of(&self, at: BlockIndex) -> Option<Stamp> {
-        self.dropped.newest?;
+        self.dropped.newest.filter(|_| !is_kept(at))?;
         self.dropped.limit(at, self.cubes.contains_key(&at))
     }
 
@@ -50,14 +57,15 @@ impl Layer {
     pub(crate) fn begin_part(&mut self, lost_upto: Stamp) -> Vec<(BlockIndex, Plane)> {
         let known: Vec<_> = self.blocks().map(|(index, states)| (index, states.known())).collect();
         let newer = self.snapshot_since(lost_upto);
+        let kept = self.read_cubes(None, |at, _| is_kept(at)).finish();
         self.left_in_copies += self.cubes.values().map(Place::bytes_in_copies).sum::<u64>();
         let mut dropped = core::mem::take(&mut self.dropped);
         dropped.floor = dropped.floor.max(Some(lost_upto));
         dropped.newest = dropped.newest.max(Some(lost_upto));
         let Self { newest, ignored, left_in_copies, .. } = *self;
         *self = Self { dropped, newest, ignored, left_in_copies, ..Self::new(&self.unpacked) };
-        if let Some(newer) = newer {
-            self.apply_rest(&newer);
+        for state in newer.into_iter().chain(kept.map(|kept| kept.to_state())) {
+            self.apply_rest(&state);
         }
         known
     }

@@ -32,9 +32,18 @@ impl Layer {
     /// The same, to be read in pieces: the layer as it is now, whatever becomes of it meanwhile. O(cubes +
     /// sensors), and 32 bytes for each cube.
     pub fn read_snapshot(&self, newer_than: Option<Stamp>) -> SnapshotReader {
-        let is_wanted =
-            |place: &&Place| newer_than.is_none_or(|limit| place.newest().is_some_and(|at| at > limit));
-        let cubes = self.cubes.iter().filter(|(_, place)| is_wanted(place));
+        self.read_cubes(newer_than, |_, place| {
+            newer_than.is_none_or(|limit| place.newest().is_some_and(|at| at > limit))
+        })
+    }
+
+    /// The same of some cubes.
+    pub(super) fn read_cubes(
+        &self,
+        newer_than: Option<Stamp>,
+        is_wanted: impl Fn(BlockIndex, &Place) -> bool,
+    ) -> SnapshotReader {
+        let cubes = self.cubes.iter().filter(|(at, place)| is_wanted(**at, place));
         let unread =
             cubes.map(|(at, place)| Unread { oldest: place.oldest(), at: *at, place: place.clone() });
         SnapshotReader {

@@ -5,6 +5,7 @@ mod block;
 mod config;
 mod memory;
 mod rays;
+mod revisit;
 mod states;
 mod submaps;
 mod take;
@@ -12,14 +13,15 @@ mod take;
 use rustc_hash::FxHashMap;
 
 use crate::memory::table_bytes;
-use crate::{BlockIndex, Plane, Pose, Scan, Sheet, Stamp, State, StateBlock, SubmapId, Voxel, voxel_bit};
+use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::MapBlock;
 use config::Rules;
 pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset};
 pub use memory::MAP_BLOCK_BYTES;
 use memory::{ENTRY_BYTES, FarKey, PENDING_BYTES};
 use rays::{Ray, RayCounts};
-pub(crate) use submaps::OwnBlocks;
+pub(crate) use revisit::OwnBlocks;
+pub use submaps::MovedBlock;
 use submaps::Submaps;
 
 /// A robot's own occupancy map, made from its own scans (paper Alg. 1, line 6 to 12).
@@ -76,19 +78,6 @@ pub struct ScanReport {
     pub ignored: usize,
     /// Points that were ignored since they lie on a team-mate.
     pub masked: usize,
-}
-
-/// A block of the own map before something became of it.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub struct MovedBlock {
-    /// Which one.
-    pub index: BlockIndex,
-    /// The submap in which it was.
-    pub submap: SubmapId,
-    /// The sheet on which it was published.
-    pub sheet: Sheet,
-    /// What was known of it.
-    pub known: Plane,
 }
 
 /// Which changes to take.

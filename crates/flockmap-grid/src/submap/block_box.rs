@@ -1,6 +1,7 @@
 //! A box round blocks.
 
 use crate::BlockIndex;
+use crate::layer::first_of;
 
 /// From its lowest to its highest block.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -20,6 +21,19 @@ impl BlockBox {
         let (low, high) = (self.low, self.high);
         self.low = BlockIndex::new(low.x.min(block.x), low.y.min(block.y), low.z.min(block.z));
         self.high = BlockIndex::new(high.x.max(block.x), high.y.max(block.y), high.z.max(block.z));
+    }
+
+    /// Of a cube of 4³ blocks, by its own index.
+    pub(crate) const fn of_cube(at: BlockIndex) -> Self {
+        let low = first_of(at);
+        Self { low, high: BlockIndex::new(low.x + 3, low.y + 3, low.z + 3) }
+    }
+
+    /// Round both.
+    pub(crate) fn union(mut self, other: Self) -> Self {
+        self.add(other.low);
+        self.add(other.high);
+        self
     }
 
     /// Round some blocks; `None` if there are none.

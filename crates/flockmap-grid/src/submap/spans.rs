@@ -37,6 +37,11 @@ impl Spans {
         core::iter::once(SubmapId::FIRST).chain(self.begins.iter().map(|(_, submap)| *submap))
     }
 
+    /// When a submap began, if that is known.
+    pub(crate) fn began(&self, submap: SubmapId) -> Option<Stamp> {
+        self.begins.iter().find(|(_, known)| *known == submap).map(|(stamp, _)| *stamp)
+    }
+
     /// When the earliest began of those that are known, but the first.
     pub(crate) fn first_begin(&self) -> Option<Stamp> {
         self.begins.first().map(|(stamp, _)| *stamp)

@@ -2,6 +2,7 @@
 
 use super::check::{Budget, Paths, Quiet, Still, Twice, Work};
 use super::clock::Clock;
+use super::moves::Moves;
 use super::purpose;
 use super::report::{RobotFigures, Seen, median_and_99};
 use super::seen;
@@ -55,6 +56,8 @@ pub(super) struct Member {
     pub(super) disk: Option<SimDisk>,
     runs: Random,
     boot: Boot,
+    /// Where submaps are begun and moved.
+    pub(super) moves: Option<Moves>,
     /// Epochs are counted, where a run does not take its own from a clock.
     epoch: Option<u64>,
     /// Microseconds by which the clock that shows the date is behind.
@@ -111,6 +114,9 @@ impl Member {
             disk,
             runs: purpose::of_robot(seed, purpose::RUNS, number),
             boot: trouble.boot,
+            moves: trouble
+                .has_submaps
+                .then(|| Moves::new(purpose::of_robot(seed, purpose::SUBMAPS, number + 1))),
             epoch: (!trouble.has_epochs_of_clocks()).then_some(0),
             behind: 0,
             input: None,
@@ -182,6 +188,7 @@ impl Member {
         (self.paths, self.work) = (Paths::default(), Work::default());
         self.forgotten.clear();
         (self.run, self.replaced) = (Some(run.stream), None);
+        self.moves.iter_mut().for_each(Moves::begin_run);
         self.figures.runs += 1;
         Ok(())
     }
@@ -247,6 +254,9 @@ impl Member {
             scan.no_returns.clear();
         }
         if let Some(robot) = &mut self.robot {
+            if let Some(moves) = &mut self.moves {
+                moves.act(robot, stamp);
+            }
             robot.insert_scan(stamp, &scan, &Pose::from_translation(place)).expect(IN_THE_WORLD);
         }
         self.next_scan = now + self.settings.scan_period;

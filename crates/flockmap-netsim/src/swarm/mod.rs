@@ -17,6 +17,7 @@ mod crowd;
 mod datagram;
 mod engine;
 mod member;
+mod moves;
 mod options;
 mod outsider;
 mod plan;

@@ -26,3 +26,4 @@ pub(super) const COSTLY: u64 = 0x5357_0010;
 pub(super) const CAPS: u64 = 0x5357_0011;
 pub(super) const PIECES: u64 = 0x5357_0012;
 pub(super) const CROWD: u64 = 0x5357_0013;
+pub(super) const SUBMAPS: u64 = 0x5357_0014;

@@ -19,6 +19,7 @@ const COSTLY: f64 = 0.1;
 const CAPS: f64 = 0.25;
 const PIECES: f64 = 0.25;
 const CROWD: f64 = 0.25;
+const SUBMAPS: f64 = 0.3;
 
 /// What a clock shows when its robot starts again.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -52,6 +53,8 @@ pub(super) struct Trouble {
     pub(super) has_small_layers: bool,
     /// Snapshots go in small pieces.
     pub(super) has_pieces: bool,
+    /// Robots begin submaps and move them.
+    pub(super) has_submaps: bool,
     /// The radio carries less than is sent.
     pub(super) crowd: Option<Crowd>,
 }
@@ -70,6 +73,7 @@ impl Trouble {
         };
         let has_small_layers = Random::new(options.seed, purpose::CAPS).happens(CAPS) && !options.is_calm;
         let has_pieces = Random::new(options.seed, purpose::PIECES).happens(PIECES) && !options.is_calm;
+        let has_submaps = Random::new(options.seed, purpose::SUBMAPS).happens(SUBMAPS) && !options.is_calm;
         let crowd = Crowd::draw(options.seed, CROWD).filter(|_| !options.is_calm && options.radio.is_none());
         let mut random = Random::new(options.seed, purpose::FIELD);
         // Seldom hundreds.
@@ -84,6 +88,7 @@ impl Trouble {
             is_costly,
             has_small_layers,
             has_pieces,
+            has_submaps,
             crowd,
         }
     }
@@ -114,6 +119,7 @@ impl Trouble {
             (self.has_steps, "clocks that stamp scans are stepped while flying"),
             (self.has_faulty_disks, "disks fail"),
             (self.has_pieces, "snapshots go in small pieces"),
+            (self.has_submaps, "submaps are begun and moved"),
             (self.is_costly, "packages that cost more than they may"),
         ];
         let notes = notes.into_iter().filter(|(holds, _)| *holds).map(|(_, note)| note.to_owned());
@@ -162,14 +168,15 @@ pub(super) fn limit(
 }
 
 /// Small limits of the layers of one robot, and what they are, as text.
-pub(super) fn cap(random: &mut Random, fusion: &mut FusionConfig) -> String {
+/// `more`: bytes for what is never dropped.
+pub(super) fn cap(random: &mut Random, fusion: &mut FusionConfig, more: usize) -> String {
     let mut notes = Vec::new();
     if random.happens(0.6) {
-        fusion.layer_bytes_max = 12_000 + random.below(120_000) as usize;
+        fusion.layer_bytes_max = more + 12_000 + random.below(120_000) as usize;
         notes.push(format!("{} bytes of layers of others", fusion.layer_bytes_max));
     }
     if random.happens(0.4) {
-        fusion.own_layer_bytes_max = 12_000 + random.below(60_000) as usize;
+        fusion.own_layer_bytes_max = more + 12_000 + random.below(60_000) as usize;
         notes.push(format!("{} bytes of its own layer", fusion.own_layer_bytes_max));
     }
     if notes.is_empty() { "as much as ever".to_owned() } else { notes.join(", ") }

@@ -102,8 +102,13 @@ impl NodeConfig {
         }
         let default = RobotConfig::new(self.id, map.resolution, map.range_m);
         let radius = teammates.radius_m.unwrap_or(default.teammate_radius_m);
+        let submap_length_m = self.submaps.length_m;
+        let submap_length_m = submap_length_m
+            .map(|length| within("[submaps] length_m", length, 0.1..=1e6, "0.1 to 1,000,000"))
+            .transpose()?;
         Ok(RobotConfig {
             epoch,
+            submap_length_m,
             mapper: map.clone(),
             batch: self.batch,
             codec: codec.name.unwrap_or(default.codec),

@@ -111,6 +111,9 @@ pub struct NodeConfig {
     /// that of former runs, 0 if the clock goes on through a restart.
     #[serde(default)]
     pub clock_offset_ms: BTreeMap<RobotId, f64>,
+    /// Parts of the map that are moved when a loop is closed.
+    #[serde(default)]
+    pub submaps: SubmapsSection,
     /// Team-mates in view of the sensor.
     #[serde(default)]
     pub teammates: TeammatesSection,
@@ -311,6 +314,14 @@ pub struct AlignmentSection {
     pub quaternion_xyzw: Option<[f64; 4]>,
     /// Rotation about z in degrees.
     pub yaw_deg: Option<f64>,
+}
+
+/// `[submaps]`: a submap begins when the sensor program says so, or by the way.
+#[derive(Clone, PartialEq, Debug, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SubmapsSection {
+    /// A submap begins after so many metres of way of the sensor.
+    pub length_m: Option<f64>,
 }
 
 /// `[teammates]`: what is not given is as in [`flockmap::RobotConfig`].

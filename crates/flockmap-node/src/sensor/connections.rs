@@ -191,6 +191,8 @@ impl<S: AsyncRead + Unpin> Reader<S> {
                 Err(error) => return Input::Fault(format!("{name} closed: message {count}: {error}")),
                 Ok(SensorMessage::Alignment(robot, pose)) => Input::Alignment(robot, pose),
                 Ok(SensorMessage::Teammate(robot, position)) => Input::Teammate(robot, position),
+                Ok(SensorMessage::BeginSubmap) => Input::BeginSubmap,
+                Ok(SensorMessage::SubmapPose(submap, pose)) => Input::SubmapPose(submap, pose),
                 Ok(SensorMessage::Scan(mut frame)) => {
                     let stamp = self.on_the_node_s_clock(frame.scan.stamp, count);
                     stamp.map_or_else(Input::Fault, |stamp| {

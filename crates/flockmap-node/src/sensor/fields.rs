@@ -25,7 +25,9 @@ pub enum MessageError {
     #[error("version {0}, expected {MESSAGE_VERSION}")]
     Version(u8),
     /// Of no known kind: this one.
-    #[error("kind {0}, expected 1 (scan), 2 (alignment), 3 (team-mate), 4 (voxels) or 5 (box)")]
+    #[error(
+        "kind {0}, expected 1 (scan), 2 (alignment), 3 (team-mate), 4 (voxels), 5 (box), 6 (a submap begins) or 7 (pose of a submap)"
+    )]
     Kind(u8),
     /// The length does not fit what is in it.
     #[error("{got} bytes, expected {expected} by its kind and counts")]

@@ -54,7 +54,14 @@ pub enum SensorMessage {
     Teammate(RobotId, [f64; 3]),
     /// Kind 4 and 5: states of voxels, from a mapper elsewhere. Stamp 0 means now.
     States(StatesMessage),
+    /// Kind 6: a submap of the own run begins.
+    BeginSubmap,
+    /// Kind 7: `T_map_submap`, how a submap of the own run lies in the own map; `None`: the newest one.
+    SubmapPose(Option<u16>, Pose),
 }
+
+/// In place of the number of a submap: the newest one.
+const NEWEST_SUBMAP: u16 = u16::MAX;
 
 impl SensorMessage {
     /// Reads what follows the length. Allocates only what the bytes at hand fill.
@@ -108,6 +115,16 @@ impl SensorMessage {
             }
             4 => Ok(Self::States(StatesMessage::parse_voxels(&mut reader, limits.states_max)?)),
             5 => Ok(Self::States(StatesMessage::parse_box(&mut reader, limits.box_states_max)?)),
+            6 => {
+                reader.check_length()?;
+                Ok(Self::BeginSubmap)
+            }
+            7 => {
+                reader.expected += 56;
+                reader.check_length()?;
+                let submap = Some(robot.0).filter(|number| *number != NEWEST_SUBMAP);
+                Ok(Self::SubmapPose(submap, pose(reader.numbers()?)?))
+            }
             kind => Err(MessageError::Kind(kind)),
         }
     }
@@ -143,6 +160,11 @@ impl SensorMessage {
             Self::States(states) => {
                 begin(states.kind(), RobotId(0));
                 states.emit(&mut out);
+            }
+            Self::BeginSubmap => begin(6, RobotId(0)),
+            Self::SubmapPose(submap, pose) => {
+                begin(7, RobotId(submap.unwrap_or(NEWEST_SUBMAP)));
+                put_pose(&mut out, pose);
             }
         }
         let length = (out.len() as u32 - 4).to_le_bytes();
@@ -232,6 +254,25 @@ mod tests {
     }
 
     #[test]
+    fn the_layout_of_submaps_is_the_documented_one() {
+        let bytes = SensorMessage::BeginSubmap.emit();
+        assert_eq!(bytes, *b"\x08\0\0\0FLKS\x01\x06\0\0");
+        let pose = Pose::from_translation([1.0, 2.0, 3.0]);
+        for (submap, number) in [(Some(515), [3, 2]), (None, [255, 255])] {
+            let message = SensorMessage::SubmapPose(submap, pose);
+            let bytes = message.emit();
+            assert_eq!(bytes[..12], [&[64, 0, 0, 0][..], b"FLKS", &[1, 7], &number].concat());
+            assert_eq!(bytes[12..20], 1f64.to_le_bytes());
+            assert_eq!((bytes.len(), &bytes[60..68]), (68, &1f64.to_le_bytes()[..]));
+            assert_eq!(SensorMessage::parse(&bytes[4..], &LIMITS), Ok(message));
+        }
+        assert_eq!(
+            SensorMessage::parse(&SensorMessage::BeginSubmap.emit()[4..], &LIMITS),
+            Ok(SensorMessage::BeginSubmap)
+        );
+    }
+
+    #[test]
     fn the_layout_of_states_is_the_documented_one() {
         let common = |bytes: &[u8], kind: u8, sensor: [f64; 3], flags: u32| {
             assert_eq!(bytes[4..12], [b'F', b'L', b'K', b'S', 1, kind, 0, 0]);
@@ -301,7 +342,8 @@ mod tests {
         };
         assert!(matches!(parse(&|b| b[0] = b'X'), MessageError::Magic(_)));
         assert_eq!(parse(&|b| b[4] = 9), MessageError::Version(9));
-        assert_eq!(parse(&|b| b[5] = 6), MessageError::Kind(6));
+        assert_eq!(parse(&|b| b[5] = 8), MessageError::Kind(8));
+        assert!(matches!(parse(&|b| b[5] = 6), MessageError::Size { got: 104, expected: 8 }));
         assert!(matches!(parse(&|b| b[72] = 3), MessageError::Size { got: 104, expected: 116 }));
         assert!(matches!(parse(&|b| b[72] = 9), MessageError::Length { .. }), "more points than allowed");
         assert!(matches!(parse(&|b| b[16..72].fill(0)), MessageError::Pose(_)));
@@ -318,13 +360,15 @@ mod tests {
 
         #[test]
         fn damaged_messages_do_no_harm(
-            kind in 0usize..5, cut in 0usize..200, flips in prop::collection::vec((0usize..200, any::<u8>()), 0..4),
+            kind in 0usize..7, cut in 0usize..200, flips in prop::collection::vec((0usize..200, any::<u8>()), 0..4),
         ) {
             let message = match kind {
                 0 => scan(4, 2),
                 1 => SensorMessage::Teammate(RobotId(1), [0.0; 3]),
                 2 => voxels(5),
                 3 => a_box([5, 4, 3], true),
+                4 => SensorMessage::BeginSubmap,
+                5 => SensorMessage::SubmapPose(Some(3), Pose::IDENTITY),
                 _ => SensorMessage::Alignment(RobotId(1), Pose::IDENTITY),
             };
             let mut bytes = message.emit().split_off(4);

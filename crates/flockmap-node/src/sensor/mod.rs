@@ -81,6 +81,10 @@ pub(crate) enum Input {
     Alignment(RobotId, Pose),
     /// Where a team-mate is.
     Teammate(RobotId, [f64; 3]),
+    /// A submap of the own run begins.
+    BeginSubmap,
+    /// How a submap of the own run lies in the own map; `None`: the newest one.
+    SubmapPose(Option<u16>, Pose),
     /// Something was wrong: one line. It is counted.
     Fault(String),
     /// A silent connection was closed, since there was no room for another program: one line. It is counted.

@@ -4,9 +4,9 @@
 //! (the own one is given the priority of the configuration; at equal stamps Occupied). Where clocks are
 //! measured, it is one of them.
 
-use super::Finding;
-use flockmap::grid::{BlockIndex, bit_of};
-use flockmap::{Robot, RobotId, Stamp, State, Voxel};
+use super::{Finding, frames};
+use flockmap::grid::{BlockIndex, Sheet, bit_of};
+use flockmap::{Pose, Robot, RobotId, Stamp, State, Stream, SubmapId, Voxel};
 use std::collections::BTreeSet;
 
 const NAME: &str = "fused";
@@ -21,11 +21,16 @@ pub(in crate::swarm) fn wrong_fused(
     if robot.is_rebuilding() {
         return None;
     }
+    if robot.fusion().layers().any(|(stream, _)| has_submaps(robot, stream)) {
+        return wrong_by_frames(robot, ahead);
+    }
     let (own, mapper) = (robot.own_stream(), robot.mapper());
     let layers: Vec<_> = robot.fusion().layers().filter(|(stream, _)| *stream != own).collect();
     let priority = robot.config().fusion.own_priority_micros;
     let mut blocks: BTreeSet<BlockIndex> = mapper.blocks().map(|(index, _)| index).collect();
     blocks.extend(layers.iter().flat_map(|(_, layer)| layer.blocks().map(|(index, _)| index)));
+    // What is said of submaps is no part of a map.
+    blocks.retain(|index| Sheet::of(*index) == Some(Sheet::FIRST));
     blocks.extend(robot.map().blocks().map(|(index, _)| index));
     for block in blocks {
         let corner = block.corner();
@@ -72,4 +77,37 @@ pub(in crate::swarm) fn wrong_fused(
         }
     }
     None
+}
+
+fn has_submaps(robot: &Robot, stream: Stream) -> bool {
+    let fusion = robot.fusion();
+    fusion.submaps(stream).count() > 1 || fusion.submap_pose(stream, SubmapId::FIRST) != Pose::IDENTITY
+}
+
+/// The same where something lies otherwise than it was seen.
+fn wrong_by_frames(robot: &Robot, ahead: impl Fn(RobotId) -> Option<i64>) -> Option<Finding> {
+    let priority = robot.config().fusion.own_priority_micros;
+    let mut words = frames::words(robot);
+    for (voxel, _) in robot.map().voxels() {
+        words.entry(voxel).or_default();
+    }
+    words.into_iter().find_map(|(voxel, words)| {
+        let found = robot.map().state(voxel);
+        let first = words.first().map_or(State::Unknown, |(_, state, _)| *state);
+        let is_contested = words.iter().any(|(_, state, _)| *state != first);
+        let made = words.iter().map(|(who, state, stamp)| {
+            let later = who.map_or(Some(priority), &ahead)?;
+            Some((stamp.plus_micros(later), *state == State::Occupied))
+        });
+        // One of which the clock is not known leaves all of them open.
+        let expected = match made.collect::<Option<Vec<_>>>().and_then(|all| all.into_iter().max()) {
+            _ if !is_contested => first,
+            Some((_, true)) => State::Occupied,
+            Some((_, false)) => State::Free,
+            None if found == State::Unknown => State::Free,
+            None => found,
+        };
+        let text = || format!("{expected:?} at {voxel:?} in the fused map, of {words:?}");
+        (found != expected).then(|| Finding::new(NAME, text(), format!("{found:?}")))
+    })
 }

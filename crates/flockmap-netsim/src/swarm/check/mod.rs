@@ -2,11 +2,13 @@
 
 mod agreement;
 mod budget;
+mod frames;
 mod fused;
 mod identity;
 mod layer;
 mod limits;
 mod path;
+mod poses;
 mod quiet;
 mod sealed;
 mod still;
@@ -21,6 +23,7 @@ pub(super) use budget::Budget;
 pub(super) use fused::wrong_fused;
 pub(super) use identity::Identities;
 pub(super) use path::Paths;
+pub(super) use poses::wrong_poses;
 pub(super) use quiet::{Quiet, period_micros};
 pub(super) use sealed::Sealed;
 pub(super) use still::Still;

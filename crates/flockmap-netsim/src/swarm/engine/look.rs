@@ -198,6 +198,13 @@ impl Engine {
             };
             findings.extend(check::wrong_fused(robot, ahead).map(|found| (own.origin, found)));
         }
+        for member in self.network.nodes() {
+            let (Some(origin), Some(moves)) = (&member.robot, &member.moves) else { continue };
+            for robot in &robots {
+                let found = check::wrong_poses(robot, origin.own_stream(), moves.poses());
+                findings.extend(found.map(|found| (robot.own_stream().origin, found)));
+            }
+        }
         if let Some((robot, found)) = check::unequal_layer(&robots) {
             let expected = "equal layers, since all packages are received";
             findings.push((robot, Finding::new(names::AGREEMENT, expected, found)));

@@ -1,107 +1,13 @@
-//! The parts of what robots have seen, each of which lies in the fused map in one way.
+//! What has a say where in a fused map.
 
 use std::borrow::Cow;
 
-use super::align::{Alignment, Blocks};
+use super::align::Alignment;
 use super::fused::Fused;
-use super::received::Received;
+use super::part::{Part, PartBlocks};
 use super::sources::{Source, Sources};
-use crate::mapper::OwnBlocks;
 use crate::submap::{BlockBox, Spans, is_reserved};
-use crate::{
-    BlockIndex, Layer, Mapper, Plane, RobotId, Sheet, Stamp, State, StateBlock, Stream, SubmapId, Voxel,
-};
-
-/// What is known of one robot in one frame: a layer, a submap on a sheet of one, or a submap of the own map.
-pub(super) struct Part<'a> {
-    pub id: RobotId,
-    alignment: Cow<'a, Alignment>,
-    blocks: PartBlocks<'a>,
-    /// When it came here, and how far the clock of its origin is off; `None`: it is of this robot.
-    received: Option<(&'a Received, i64)>,
-}
-
-enum PartBlocks<'a> {
-    Layer(&'a Layer),
-    Submap { layer: &'a Layer, spans: &'a Spans, submap: SubmapId, sheet: Sheet },
-    Own(OwnBlocks<'a>),
-    OwnBefore { layer: &'a Layer, spans: &'a Spans, submap: SubmapId, sheet: Sheet, mapper: &'a Mapper },
-}
-
-impl PartBlocks<'_> {
-    /// Whether a block of a layer is of this part.
-    fn has(&self, index: BlockIndex) -> bool {
-        let is_of =
-            |spans: &Spans, submap, sheet| Sheet::of(index) == Some(sheet) && spans.of(index) == Some(submap);
-        match *self {
-            Self::Layer(_) | Self::Own(_) => true,
-            Self::Submap { spans, submap, sheet, .. } => is_of(spans, submap, sheet),
-            Self::OwnBefore { spans, submap, sheet, mapper, .. } => {
-                is_over(mapper, index) && is_of(spans, submap, sheet)
-            }
-        }
-    }
-}
-
-/// Whether the own map has begun a block anew since what was published there.
-fn is_over(mapper: &Mapper, index: BlockIndex) -> bool {
-    let Some(sheet) = Sheet::of(index) else { return false };
-    mapper.place_of(sheet.local(index)).is_some_and(|(_, now)| now > sheet)
-}
-
-impl Blocks for PartBlocks<'_> {
-    fn block(&self, index: BlockIndex) -> Option<StateBlock> {
-        match self {
-            Self::Own(blocks) => blocks.block(index),
-            Self::Layer(layer) => layer.block(index),
-            Self::Submap { layer, .. } | Self::OwnBefore { layer, .. } => {
-                layer.block(index).filter(|_| self.has(index))
-            }
-        }
-    }
-
-    fn get(&self, voxel: Voxel) -> Option<(State, Stamp)> {
-        match self {
-            Self::Own(blocks) => blocks.get(voxel),
-            Self::Layer(layer) => layer.get(voxel),
-            Self::Submap { layer, .. } | Self::OwnBefore { layer, .. } => {
-                layer.get(voxel).filter(|_| self.has(voxel.block()))
-            }
-        }
-    }
-
-    fn each_block(
-        &self,
-        indices: impl Iterator<Item = BlockIndex>,
-        mut found: impl FnMut(usize, StateBlock),
-    ) {
-        if let Self::Layer(layer) = self {
-            return layer.each_block(indices, found);
-        }
-        for (number, index) in indices.enumerate() {
-            if let Some(block) = self.block(index) {
-                found(number, block);
-            }
-        }
-    }
-}
-
-impl Part<'_> {
-    /// What it says of voxels of the fused map, block by block, with the number of the target.
-    pub(super) fn blocks(&self, targets: &[(BlockIndex, Plane)], found: impl FnMut(usize, StateBlock)) {
-        self.alignment.blocks(&self.blocks, targets, found);
-    }
-
-    /// What it says of a voxel of the fused map, and when that counts as made.
-    pub(super) fn look_up(&self, voxel: Voxel, own_priority_micros: i64) -> Option<(State, Stamp)> {
-        let (state, stamp) = self.alignment.look_up(&self.blocks, voxel)?;
-        let made = match self.received {
-            Some((received, clock_offset_micros)) => received.made(stamp, clock_offset_micros),
-            None => stamp.plus_micros(own_priority_micros),
-        };
-        Some((state, made))
-    }
-}
+use crate::{BlockIndex, Mapper, Plane, Sheet, Stream, SubmapId};
 
 impl Fused {
     /// Whether the own map lies in the fused one as it is, and all of it is in the mapper.
