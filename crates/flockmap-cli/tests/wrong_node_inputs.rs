@@ -458,8 +458,10 @@ fn what_a_sensor_program_sends_wrongly_is_said() {
         ("another version", changed(8, &[9]), &["version 9, expected 1"]),
         (
             "no such kind",
-            changed(9, &[7]),
-            &["kind 7, expected 1 (scan), 2 (alignment), 3 (team-mate), 4 (voxels) or 5 (box)"],
+            changed(9, &[8]),
+            &[
+                "kind 8, expected 1 (scan), 2 (alignment), 3 (team-mate), 4 (voxels), 5 (box), 6 (a submap begins) or",
+            ],
         ),
         (
             "more points than there are",

@@ -1,5 +1,6 @@
 //! Submaps of whole robots: what drifted is put right everywhere, by poses alone.
 
+#[allow(dead_code, reason = "scans of another world are made here")]
 mod common;
 
 use std::collections::BTreeSet;

@@ -68,10 +68,11 @@ impl Pose {
         Self::new(translation, quaternion).unwrap_or_default()
     }
 
-    /// The pose as who receives it has it.
+    /// The pose as others get it where it is that of a submap: its translation to a tenth of a millimetre, its rotation to
+    /// 2⁻²² of the smallest three parts of the quaternion.
     ///
     /// # Errors
-    /// [`PoseError`], as of [`Self::to_bits`].
+    /// [`PoseError`] if it is no pose, or lies farther out than ±214 km on an axis.
     pub fn rounded(self) -> Result<Self, PoseError> {
         self.to_bits().map(Self::from_bits)
     }

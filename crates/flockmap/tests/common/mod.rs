@@ -1,5 +1,4 @@
 //! A swarm in virtual time over a radio that loses, delays, repeats and damages, all from one seed.
-#![allow(dead_code, reason = "each test file uses a part of it")]
 #![expect(unreachable_pub, reason = "a module of tests")]
 
 use std::collections::BTreeMap;
