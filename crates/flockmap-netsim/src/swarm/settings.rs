@@ -17,8 +17,6 @@ const RANGE_M: f64 = 5.0;
 /// A table of figures wants more of a map.
 const TABLE_VOXEL_M: f64 = 0.25;
 const TABLE_RAYS: usize = 60;
-/// What robots say of their submaps is never dropped, and takes no more than this.
-const KEPT: usize = 60_000;
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -113,8 +111,7 @@ impl Settings {
             let mut fusion = FusionConfig::default();
             if trouble.has_small_layers {
                 let mut random = purpose::of_robot(seed, purpose::CAPS, number);
-                let limits =
-                    trouble::cap(&mut random, &mut fusion, if trouble.has_submaps { KEPT } else { 0 });
+                let limits = trouble::cap(&mut random, &mut fusion);
                 notes.push(format!("robot {} has room for {limits}", number + 1));
             }
             fusion

@@ -19,7 +19,7 @@ const COSTLY: f64 = 0.1;
 const CAPS: f64 = 0.25;
 const PIECES: f64 = 0.25;
 const CROWD: f64 = 0.25;
-const SUBMAPS: f64 = 0.3;
+const SUBMAPS: f64 = 0.2;
 
 /// What a clock shows when its robot starts again.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -73,7 +73,10 @@ impl Trouble {
         };
         let has_small_layers = Random::new(options.seed, purpose::CAPS).happens(CAPS) && !options.is_calm;
         let has_pieces = Random::new(options.seed, purpose::PIECES).happens(PIECES) && !options.is_calm;
-        let has_submaps = Random::new(options.seed, purpose::SUBMAPS).happens(SUBMAPS) && !options.is_calm;
+        // What is said of submaps is never dropped: a layer that has no room for that can take nothing.
+        let has_submaps = Random::new(options.seed, purpose::SUBMAPS).happens(SUBMAPS)
+            && !options.is_calm
+            && !has_small_layers;
         let crowd = Crowd::draw(options.seed, CROWD).filter(|_| !options.is_calm && options.radio.is_none());
         let mut random = Random::new(options.seed, purpose::FIELD);
         // Seldom hundreds.
@@ -168,15 +171,14 @@ pub(super) fn limit(
 }
 
 /// Small limits of the layers of one robot, and what they are, as text.
-/// `more`: bytes for what is never dropped.
-pub(super) fn cap(random: &mut Random, fusion: &mut FusionConfig, more: usize) -> String {
+pub(super) fn cap(random: &mut Random, fusion: &mut FusionConfig) -> String {
     let mut notes = Vec::new();
     if random.happens(0.6) {
-        fusion.layer_bytes_max = more + 12_000 + random.below(120_000) as usize;
+        fusion.layer_bytes_max = 12_000 + random.below(120_000) as usize;
         notes.push(format!("{} bytes of layers of others", fusion.layer_bytes_max));
     }
     if random.happens(0.4) {
-        fusion.own_layer_bytes_max = more + 12_000 + random.below(60_000) as usize;
+        fusion.own_layer_bytes_max = 12_000 + random.below(60_000) as usize;
         notes.push(format!("{} bytes of its own layer", fusion.own_layer_bytes_max));
     }
     if notes.is_empty() { "as much as ever".to_owned() } else { notes.join(", ") }

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use rustc_hash::FxHashMap;
+
 use flockmap::grid::{BlockIndex, Layer, Mapper, Sheet, bit_of};
 use flockmap::{Pose, Robot, RobotId, Stamp, State, Stream, SubmapId, Voxel};
 
@@ -9,7 +11,7 @@ use flockmap::{Pose, Robot, RobotId, Stamp, State, Stream, SubmapId, Voxel};
 pub(super) type Word = (Option<RobotId>, State, Stamp);
 
 /// Voxels that lie together.
-type Frame = BTreeMap<Voxel, (State, Stamp)>;
+type Frame = FxHashMap<Voxel, (State, Stamp)>;
 
 /// All that is said of each voxel of the fused map. O(voxels).
 pub(super) fn words(robot: &Robot) -> BTreeMap<Voxel, Vec<Word>> {
@@ -92,7 +94,7 @@ fn add(
     }
     for voxel in frame.iter().filter(|(_, (state, _))| *state == State::Free).map(|(voxel, _)| *voxel) {
         let Some(at) = there(voxel) else { continue };
-        for near in (0..125).map(|n| Voxel::new(at.x + n % 5 - 2, at.y + n / 5 % 5 - 2, at.z + n / 25 - 2)) {
+        for near in (0..27).map(|n| Voxel::new(at.x + n % 3 - 1, at.y + n / 3 % 3 - 1, at.z + n / 9 - 1)) {
             let source = resolution.voxel_at(back.transform(resolution.centre(near)));
             if let Some((State::Free, stamp)) = source.and_then(|source| frame.get(&source)) {
                 images.entry(near).or_insert((State::Free, *stamp));
