@@ -420,7 +420,8 @@ fn pairs(robots: &[Member]) -> Vec<Pair> {
             // What the origin's own map knows now must be what it published, too. A voxel that has become
             // Unknown since stays as published.
             for (index, block) in origin.mapper().blocks() {
-                let published_at = origin.mapper().published_at(index).unwrap_or(index);
+                let place = origin.mapper().place_of(index);
+                let published_at = place.and_then(|(_, sheet)| sheet.block(index)).unwrap_or(index);
                 let received = layer.block(published_at).unwrap_or_default();
                 let wrong: u32 = block.minus(&received).known_count();
                 compared.equal = compared.equal.saturating_sub(u64::from(wrong));

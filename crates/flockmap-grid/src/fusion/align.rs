@@ -27,15 +27,18 @@ pub(super) trait Blocks {
     fn get(&self, voxel: Voxel) -> Option<(State, Stamp)>;
 
     /// The states of blocks of which something is known, with their numbers in the list.
-    fn each_block(
-        &self,
-        indices: impl Iterator<Item = BlockIndex>,
-        mut found: impl FnMut(usize, StateBlock),
-    ) {
-        for (number, index) in indices.enumerate() {
-            if let Some(block) = self.block(index) {
-                found(number, block);
-            }
+    fn each_block(&self, indices: impl Iterator<Item = BlockIndex>, found: impl FnMut(usize, StateBlock));
+}
+
+/// The same for who looks up each block for itself.
+pub(super) fn one_by_one(
+    blocks: &impl Blocks,
+    indices: impl Iterator<Item = BlockIndex>,
+    mut found: impl FnMut(usize, StateBlock),
+) {
+    for (number, index) in indices.enumerate() {
+        if let Some(block) = blocks.block(index) {
+            found(number, block);
         }
     }
 }

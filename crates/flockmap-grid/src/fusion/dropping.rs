@@ -4,6 +4,8 @@ use core::cmp::Reverse;
 use std::borrow::Cow;
 
 use super::dropped::{Candidate, Dropped};
+use super::fused::Fused;
+use super::reach::merge;
 use super::sources::Source;
 use super::{Fusion, FusionError};
 use crate::layer::{cube_of, first_of, is_kept};
@@ -179,20 +181,16 @@ impl Fusion {
 
     /// Something is gone from a layer: the fused map, and the one that is being made, are worked out there anew.
     pub(super) fn show_without(&mut self, mapper: &Mapper, stream: Stream, known: &[(BlockIndex, Plane)]) {
-        let is_kept = flockmap_mutation::is(flockmap_mutation::Mutation::DroppedShown);
-        let Some(source) = self.sources.get(stream).filter(|_| !known.is_empty() && !is_kept) else { return };
+        let Some(source) = self.sources.get(stream).filter(|_| !known.is_empty()) else { return };
         let is_own = stream == self.sources.own;
         // The map that is being made began as the one that is shown.
-        let reached: Vec<Vec<(BlockIndex, Plane)>> =
-            self.maps().map(|fused| fused.reach(stream, source, is_own, known).into_owned()).collect();
-        if reached.iter().all(Vec::is_empty) {
-            return;
-        }
-        for reached in reached {
-            self.refresh(mapper, |_| Cow::Owned(reached.clone()));
-        }
+        let reach = |fused: &Fused| fused.reach(stream, source, is_own, known).into_owned();
+        let reached = merge(self.maps().flat_map(reach).collect());
         self.note_blocks(stream, known.iter().map(|(index, _)| *index));
-        self.shown.view.forget_emptied();
+        if !reached.is_empty() && !flockmap_mutation::is(flockmap_mutation::Mutation::DroppedShown) {
+            self.refresh(mapper, |_| Cow::Borrowed(&reached));
+            self.shown.view.forget_emptied();
+        }
     }
 
     pub(super) fn note_dropped(&mut self, stream: Stream, blocks: usize, newest: Stamp) {

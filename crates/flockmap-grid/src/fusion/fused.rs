@@ -39,7 +39,6 @@ impl Fused {
     ) -> usize {
         let mut looked = 0;
         for targets in targets.chunks(REFRESHED_AT_ONCE) {
-            // A layer is not asked for what it keeps there.
             let Some(around) = BlockBox::around(targets.iter().map(|(index, _)| *index)) else { continue };
             let own = self.is_own_plain(sources.own, mapper).then_some(mapper);
             let own_block =
@@ -72,6 +71,7 @@ impl Fused {
                     fused[number].set(bit, last.map_or(State::Unknown, |(state, _)| state));
                 }
             }
+            // What layers keep far out is no part of a map.
             for ((index, mask), fused) in targets.iter().zip(fused).filter(|((at, _), _)| !is_reserved(*at)) {
                 self.view.write(*index, mask, &fused);
             }

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::align::{Alignment, Blocks};
+use super::align::{Alignment, Blocks, one_by_one};
 use super::received::Received;
 use crate::mapper::OwnBlocks;
 use crate::submap::Spans;
@@ -66,18 +66,10 @@ impl Blocks for PartBlocks<'_> {
         }
     }
 
-    fn each_block(
-        &self,
-        indices: impl Iterator<Item = BlockIndex>,
-        mut found: impl FnMut(usize, StateBlock),
-    ) {
-        if let Self::Layer(layer) = self {
-            return layer.each_block(indices, found);
-        }
-        for (number, index) in indices.enumerate() {
-            if let Some(block) = self.block(index) {
-                found(number, block);
-            }
+    fn each_block(&self, indices: impl Iterator<Item = BlockIndex>, found: impl FnMut(usize, StateBlock)) {
+        match self {
+            Self::Layer(layer) => layer.each_block(indices, found),
+            _ => one_by_one(self, indices, found),
         }
     }
 }

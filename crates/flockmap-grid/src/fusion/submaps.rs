@@ -82,13 +82,12 @@ impl Fusion {
     fn read_record(&mut self, stream: Stream, submap: SubmapId) {
         let Some(source) = self.sources.get(stream) else { return };
         let record = record::read(&source.layer, submap);
-        let begun = record.began.is_some_and(|began| {
+        if let Some(began) = record.began {
             self.sources.change(stream, |source| {
                 let known_from = source.spans.first_begin();
                 let cubes = source.layer.cube_indices().filter(|at| !is_reserved(first_of(*at)));
                 let blocks = || cubes.map(BlockBox::of_cube).reduce(BlockBox::union);
-                let is_new = source.spans.begin(submap, began, blocks);
-                if is_new {
+                if source.spans.begin(submap, began, blocks) {
                     // Of those on other sheets it may not have been known in which submap they are.
                     let is_earliest = known_from.is_none_or(|from| began < from);
                     let late = source.layer.cubes_with_newest().filter(|(at, newest)| {
@@ -98,12 +97,11 @@ impl Fusion {
                     source.unnoted.sort_unstable();
                     source.unnoted.dedup();
                 }
-                is_new
-            })
-        });
-        let is_known = self.submaps(stream).any(|known| known == submap);
+            });
+        }
+        let is_known = submap == SubmapId::FIRST || self.submap_began(stream, submap).is_some();
         let is_once = mutation::is(Mutation::SubmapSetOnce) && self.wanted.has_submap(stream, submap);
-        if let Some(pose) = record.pose.filter(|_| (begun || is_known) && !is_once) {
+        if let Some(pose) = record.pose.filter(|_| is_known && !is_once) {
             self.set_submap_pose(stream, submap, pose);
         }
     }

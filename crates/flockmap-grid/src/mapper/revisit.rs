@@ -21,11 +21,6 @@ impl Mapper {
         self.submaps.current
     }
 
-    /// Where a block is published: on its sheet. `None` if nothing in it was ever observed.
-    pub fn published_at(&self, index: BlockIndex) -> Option<BlockIndex> {
-        self.blocks.get(&index).and_then(|block| block.sheet.block(index))
-    }
-
     /// How many blocks began anew.
     pub const fn begun_anew(&self) -> u64 {
         self.submaps.begun_anew

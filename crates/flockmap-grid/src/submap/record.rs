@@ -51,7 +51,7 @@ pub(crate) fn submap_at(block: BlockIndex) -> Option<SubmapId> {
 }
 
 impl SubmapRecord {
-    /// The changes of a batch that say this to all who take it into their layers: some 30 bytes for a pose.
+    /// The changes of a batch that say this to all who take it into their layers: 20 to 50 bytes for a pose.
     ///
     /// # Errors
     /// [`PoseError`] if a pose is none, or lies beyond ±214 km.

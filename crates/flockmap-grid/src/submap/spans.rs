@@ -39,7 +39,8 @@ impl Spans {
 
     /// When a submap began, if that is known.
     pub(crate) fn began(&self, submap: SubmapId) -> Option<Stamp> {
-        self.begins.iter().find(|(_, known)| *known == submap).map(|(stamp, _)| *stamp)
+        let place = self.begins.binary_search_by_key(&submap, |(_, known)| *known).ok()?;
+        self.begins.get(place).map(|(stamp, _)| *stamp)
     }
 
     /// When the earliest began of those that are known, but the first.

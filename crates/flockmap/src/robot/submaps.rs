@@ -34,7 +34,7 @@ impl Robot {
     /// which they are written, so their `T_map_sensor` is to be one after the correction.
     ///
     /// It is rounded to a tenth of a millimetre and 2⁻²² of a quaternion, here too. To others it goes at most once in a
-    /// publish period, the newest of each submap, some 30 bytes for each; the newest one wins, whatever is lost or late.
+    /// publish period, the newest of each submap, 20 to 50 bytes for each; the newest one wins, whatever is lost or late.
     /// O(log submaps).
     ///
     /// # Errors
