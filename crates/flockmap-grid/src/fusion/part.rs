@@ -40,7 +40,7 @@ impl PartBlocks<'_> {
 }
 
 /// Whether the own map has begun a block anew since what was published there.
-fn is_over(mapper: &Mapper, index: BlockIndex) -> bool {
+pub(super) fn is_over(mapper: &Mapper, index: BlockIndex) -> bool {
     let Some(sheet) = Sheet::of(index) else { return false };
     mapper.place_of(sheet.local(index)).is_some_and(|(_, now)| now > sheet)
 }

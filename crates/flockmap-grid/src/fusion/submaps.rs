@@ -8,6 +8,7 @@ use rustc_hash::FxHashMap;
 
 use super::Fusion;
 use super::fused::Fused;
+use super::part::is_over;
 use super::reach::merge;
 use crate::layer::first_of;
 use crate::submap::{BlockBox, is_reserved, record};
@@ -158,8 +159,12 @@ impl Fusion {
     ) {
         let is_own = stream == self.sources.own;
         let Some(source) = self.sources.get(stream) else { return };
+        // Of the own layer only what the own map does not have any more has a say.
+        let has_say = |index: BlockIndex| !is_own || is_over(mapper, index);
+        let taken: Vec<_> = taken.iter().copied().filter(|(index, _)| has_say(*index)).collect();
+        let moved: Vec<_> = moved.iter().copied().filter(|(index, _)| has_say(*index)).collect();
         let submap_of: FxHashMap<_, _> = moved.iter().copied().collect();
-        let moved = if mutation::is(Mutation::MovedShown) { &[] } else { moved };
+        let moved = if mutation::is(Mutation::MovedShown) { Vec::new() } else { moved };
         let whole: Vec<(BlockIndex, Plane)> = moved
             .iter()
             .filter_map(|(index, _)| Some((*index, source.layer.block(*index)?.known())))
@@ -173,7 +178,7 @@ impl Fusion {
         // The map that is being made began as the one that is shown.
         let moved: Vec<_> = self.maps().flat_map(of_moved).collect();
         let reach = |fused: &Fused| {
-            let mut all = fused.reach(stream, source, is_own, taken).into_owned();
+            let mut all = fused.reach(stream, source, is_own, &taken).into_owned();
             if !moved.is_empty() {
                 all.extend_from_slice(&moved);
                 all = merge(all);

@@ -5,12 +5,18 @@ use std::collections::BTreeMap;
 use flockmap::{Pose, Robot, Stamp, SubmapId};
 use flockmap_worlds::random::Random;
 
+/// Most submaps of a run, and how often some are moved: in a world as small as these all of them lie over each other,
+/// and a flight of many minutes would move hundreds.
+const SUBMAPS_MAX: usize = 8;
+const MOVES_MAX: u32 = 30;
+
 /// What a robot has said of its submaps in this run.
 pub(super) struct Moves {
     random: Random,
     /// How likely at a scan.
     begins: f64,
     moves: f64,
+    moves_left: u32,
     /// Where each lies that was begun; the first one too.
     poses: BTreeMap<SubmapId, Pose>,
 }
@@ -18,23 +24,32 @@ pub(super) struct Moves {
 impl Moves {
     pub(super) fn new(mut random: Random) -> Self {
         let (begins, moves) = (random.range(0.02, 0.3), random.range(0.02, 0.4));
-        Self { random, begins, moves, poses: BTreeMap::from([(SubmapId::FIRST, Pose::IDENTITY)]) }
+        Self {
+            random,
+            begins,
+            moves,
+            moves_left: MOVES_MAX,
+            poses: BTreeMap::from([(SubmapId::FIRST, Pose::IDENTITY)]),
+        }
     }
 
     /// Another run begins.
     pub(super) fn begin_run(&mut self) {
         self.poses = BTreeMap::from([(SubmapId::FIRST, Pose::IDENTITY)]);
+        self.moves_left = MOVES_MAX;
     }
 
     /// Begins a submap, or moves some, or not.
     pub(super) fn act(&mut self, robot: &mut Robot, now: Stamp) {
         if self.random.happens(self.begins)
+            && self.poses.len() < SUBMAPS_MAX
             && let Ok(submap) = robot.begin_submap(now)
         {
             let before = self.poses.last_key_value().map_or(Pose::IDENTITY, |(_, pose)| *pose);
             self.poses.insert(submap, before);
         }
-        if self.random.happens(self.moves) {
+        if self.random.happens(self.moves) && self.moves_left > 0 {
+            self.moves_left -= 1;
             for _ in 0..1 + self.random.below(3) {
                 let number = self.random.below(self.poses.len() as u64) as u16;
                 let submap = SubmapId::new(number).unwrap_or_default();

@@ -17,6 +17,8 @@ const RANGE_M: f64 = 5.0;
 /// A table of figures wants more of a map.
 const TABLE_VOXEL_M: f64 = 0.25;
 const TABLE_RAYS: usize = 60;
+/// Longer flights are without submaps.
+const SUBMAPS_MAX_MICROS: i64 = 60_000_000;
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -69,6 +71,8 @@ impl Settings {
         let mut trouble = Trouble::draw(options);
         let seconds = if options.seconds.is_none() { seconds.max(trouble.seconds()) } else { seconds };
         let mapping = (seconds.clamp(0.1, 3_600.0) * 1e6) as i64;
+        // They are worked out at each scan: a long flight takes a minute for that.
+        trouble.has_submaps &= mapping <= SUBMAPS_MAX_MICROS;
         let drawn = if random.happens(0.5) { Cast::Broadcast } else { Cast::Unicast };
         let cast = options.cast.unwrap_or(drawn);
         let clocks_given = random.happens(0.5);
