@@ -25,10 +25,12 @@ use std::collections::BTreeSet;
 
 use crate::{
     BlockIndex, Changes, Layer, Mapper, Plane, Resolution, RobotId, ScanReport, Snapshot, Stamp, Stream,
+    SubmapId,
 };
 pub use dropped::Dropped;
 use dropped::Dropping;
 use fused::Fused;
+use reach::merge;
 use rebuild::Rebuild;
 use settings::Settings;
 use sources::Sources;
@@ -171,9 +173,13 @@ impl Fusion {
         let submap = self.wanted.submap(own, mapper.submap());
         self.note_near(report.sensor.map(|sensor| submap.transform(sensor)));
         self.refresh(mapper, |fused| fused.reach_own(own, mapper, &report.touched));
-        if self.shown.settings.is_unmoved(own) {
+        if mapper.submap() == SubmapId::FIRST || self.shown.settings.is_unmoved(own) {
             let forgotten: Vec<_> = report.forgotten.iter().map(|index| (*index, [u64::MAX; 8])).collect();
-            self.refresh(mapper, |_| Cow::Borrowed(&forgotten));
+            let of = |_: &(BlockIndex, Plane)| Some(SubmapId::FIRST);
+            // The map that is being made began as the one that is shown.
+            let reached =
+                merge(self.maps().flat_map(|fused| fused.reach_by(own, true, &forgotten, of)).collect());
+            self.refresh(mapper, |_| Cow::Borrowed(&reached));
         }
         self.refresh_moved(mapper, &report.moved);
         self.shown.view.forget_emptied();

@@ -81,19 +81,19 @@ impl Fusion {
     }
 
     fn read_record(&mut self, stream: Stream, submap: SubmapId) {
+        let is_own = stream == self.sources.own;
         let Some(source) = self.sources.get(stream) else { return };
         let record = record::read(&source.layer, submap);
         if let Some(began) = record.began {
             self.sources.change(stream, |source| {
-                let known_from = source.spans.first_begin();
+                // Until the first one is known nothing of the own layer is fused, also not what began anew in the own map.
+                let is_all = is_own && source.spans.is_empty();
                 let cubes = source.layer.cube_indices().filter(|at| !is_reserved(first_of(*at)));
                 let blocks = || cubes.map(BlockBox::of_cube).reduce(BlockBox::union);
                 if source.spans.begin(submap, began, blocks) {
-                    // Of those on other sheets it may not have been known in which submap they are.
-                    let is_earliest = known_from.is_none_or(|from| began < from);
-                    let late = source.layer.cubes_with_newest().filter(|(at, newest)| {
-                        *newest >= began && (is_earliest || is_reserved(first_of(*at)))
-                    });
+                    // What came before its submap is known: another part has it from now on, even where that lies alike.
+                    let late =
+                        source.layer.cubes_with_newest().filter(|(_, newest)| is_all || *newest >= began);
                     source.unnoted.extend(late.map(|(at, _)| at));
                     source.unnoted.sort_unstable();
                     source.unnoted.dedup();

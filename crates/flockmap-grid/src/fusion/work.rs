@@ -4,7 +4,7 @@ use super::Fusion;
 use super::reach::merge;
 use super::rebuild::Rebuild;
 use super::settings::Settings;
-use crate::Mapper;
+use crate::{Mapper, SubmapId};
 
 /// So many blocks of a layer are let go of in the time in which one block of the map is worked out.
 const FREED_PER_BLOCK: usize = 16;
@@ -84,12 +84,17 @@ impl Fusion {
         due.retain(|id| !wanted.origin(*id).is_as(shown.settings.origin(*id)) || shown.outdated.contains(id));
         let mut submaps = Vec::new();
         for stream in core::mem::take(due_submaps) {
-            let Some(source) = sources.get(stream) else { continue };
-            let known = source.spans.submaps();
             let of_stream = |settings: &Settings, submap| settings.submap(stream, submap);
-            let moved =
-                known.filter(|submap| of_stream(wanted, *submap) != of_stream(&shown.settings, *submap));
-            submaps.extend(moved.map(|submap| (stream, submap)));
+            let is_moved =
+                |submap: &SubmapId| of_stream(wanted, *submap) != of_stream(&shown.settings, *submap);
+            let mut add = |submap| submaps.push((stream, submap));
+            if stream == sources.own {
+                // The mapper writes in submaps of which the own layer may not have the record yet.
+                let begun = core::iter::successors(Some(SubmapId::FIRST), |submap| submap.next());
+                begun.take_while(|submap| *submap <= mapper.submap()).filter(is_moved).for_each(&mut add);
+            } else if let Some(source) = sources.get(stream) {
+                source.spans.submaps().filter(is_moved).for_each(&mut add);
+            }
         }
         if !due.is_empty() || !submaps.is_empty() || sources.is_any_leaving() {
             self.next = Some(Rebuild::begin(shown, wanted.clone(), &due, &submaps, sources, mapper));

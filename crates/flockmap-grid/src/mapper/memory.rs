@@ -3,6 +3,7 @@
 use super::block::MapBlock;
 use super::config::MapperConfig;
 use super::rays::Ray;
+use super::submaps::MovedBlock;
 use crate::{BLOCK_SIDE, BlockIndex, Plane, Stamp, StateBlock};
 
 /// The most bytes that one block of the map takes of the byte cap: itself, and its places in the table of
@@ -14,9 +15,12 @@ pub const MAP_BLOCK_BYTES: usize = size_of::<MapBlock>() + (ENTRY_BYTES + 1 + PE
 /// place in the window; what is reported of it, and what is forgotten for it.
 const SCAN_BLOCK_BYTES: usize = (2 * 1_024 * 5 / 4 + 1_024) + 12 + 48 + REPORT_BYTES + FORGET_BYTES;
 /// In the report.
-const REPORT_BYTES: usize = size_of::<(BlockIndex, Plane)>() + size_of::<(BlockIndex, StateBlock)>();
+const REPORT_BYTES: usize =
+    size_of::<(BlockIndex, Plane)>() + size_of::<(BlockIndex, StateBlock)>() + MOVED_BYTES;
 /// In the list of what may be forgotten, and in the report of it.
-const FORGET_BYTES: usize = size_of::<FarKey>() + size_of::<BlockIndex>();
+const FORGET_BYTES: usize = size_of::<FarKey>() + size_of::<BlockIndex>() + MOVED_BYTES;
+/// In the list of blocks that were in another submap; moved to a new place while it grows.
+const MOVED_BYTES: usize = 3 * size_of::<MovedBlock>();
 /// For each of its points: the ray, and the ray ready to walk, which is moved to a new place when a larger
 /// scan comes.
 const POINT_BYTES: usize = size_of::<Ray>() + 2 * 56;

@@ -182,7 +182,8 @@ impl Mapper {
         change: impl FnOnce(&mut MapBlock) -> Plane,
     ) {
         let submaps = &mut self.submaps;
-        let block = self.blocks.entry(index).or_insert_with(|| Box::new(submaps.new_block()));
+        let block =
+            self.blocks.entry(index).or_insert_with(|| Box::new(submaps.new_block(index, &mut report.moved)));
         submaps.note_touched(index, block, &mut report.moved);
         let before = *block.states();
         let touched = change(block);

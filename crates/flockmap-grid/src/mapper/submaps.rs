@@ -34,11 +34,15 @@ pub(super) struct Submaps {
 
 impl Submaps {
     /// A block that is not there: where one may have been forgotten that is over, on a sheet on which there is none.
-    pub(super) fn new_block(&mut self) -> MapBlock {
+    pub(super) fn new_block(&mut self, index: BlockIndex, moved: &mut Vec<MovedBlock>) -> MapBlock {
         let is_doubtful = self.forgot_in.is_some_and(|first| is_over(first, self.current));
         let sheet = Sheet::new(self.current.number()).filter(|_| is_doubtful).unwrap_or_default();
-        self.begun_anew += u64::from(is_doubtful);
-        MapBlock::new(sheet, self.current)
+        let block = MapBlock::new(sheet, self.current);
+        if is_doubtful {
+            self.begun_anew += 1;
+            moved.push(block.at(index));
+        }
+        block
     }
 
     /// A block is touched in the current submap, and moves with that from now on.

@@ -14,7 +14,7 @@ use crate::{BlockIndex, Stamp};
 /// nothing of the first n submaps: what by the known ones would be, is of one of which it is not known yet.
 #[derive(Debug, Default)]
 pub(crate) struct Spans {
-    /// Of all that are known but the first. Numbers and stamps ascend.
+    /// Of all that are known but the first. Numbers ascend, and stamps do not descend.
     begins: Vec<(Stamp, SubmapId)>,
     newest: FxHashMap<BlockIndex, Stamp>,
     /// Round the blocks of each submap on each sheet, and perhaps others.
@@ -59,8 +59,9 @@ impl Spans {
         let place = self.begins.partition_point(|(_, other)| *other < submap);
         let before = place.checked_sub(1).and_then(|before| self.begins.get(before));
         let after = self.begins.get(place);
-        let is_sound = before.is_none_or(|(before, _)| *before < stamp)
-            && after.is_none_or(|(after, next)| *next != submap && stamp < *after);
+        // Several may begin at once: nothing was published in those before the last of them.
+        let is_sound = before.is_none_or(|(before, _)| *before <= stamp)
+            && after.is_none_or(|(after, next)| *next != submap && stamp <= *after);
         if submap == SubmapId::FIRST || !is_sound {
             return false;
         }

@@ -67,7 +67,11 @@ impl Moves {
         let pose = match range(1.0) {
             kind if kind < -0.6 => Pose::IDENTITY,
             kind if kind < -0.3 => Pose::from_translation([range(3.0).round() * 4.0, 0.0, 0.0]),
-            kind if kind < 0.6 => Pose::from_yaw([range(1.0), range(1.0), range(0.3)], range(0.2)),
+            kind if kind < 0.6 => {
+                // An odd number of tenths of a millimetre: by half a voxel up, centres would lie on the faces of voxels.
+                let z = ((range(0.3) * 5_000.0).round() * 2.0 + 1.0) / 10_000.0;
+                Pose::from_yaw([range(1.0), range(1.0), z], range(0.2))
+            }
             _ => Pose::new([range(9.0), range(9.0), range(2.0)], [range(1.0), range(1.0), range(1.0), 1.0])
                 .unwrap_or_default(),
         };

@@ -1,12 +1,12 @@
 //! Submaps: what is fused of them is what the rules say, whenever what is known of them comes.
 
 use super::*;
-use crate::{Sheet, SubmapId, SubmapRecord};
+use crate::{MAP_BLOCK_BYTES, Sheet, SubmapId, SubmapRecord};
 
 #[derive(Clone, Debug)]
 enum Step {
     Scan([f64; 3], Vec<[f32; 3]>),
-    /// The own map publishes what has changed.
+    /// The own map publishes what is to be said of submaps, and then what has changed.
     Publish,
     Begin,
     Move(u16, Pose),
@@ -60,9 +60,10 @@ struct Known {
 }
 
 impl Known {
-    fn pose(&self, submap: u16) -> Pose {
+    fn pose(&self, submap: u16, is_own: bool) -> Pose {
         let known = self.poses.range(..=submap).rev();
-        let mut known = known.filter(|(submap, _)| **submap == 0 || self.begins.contains_key(*submap));
+        let is_known = |submap: u16| is_own || submap == 0 || self.begins.contains_key(&submap);
+        let mut known = known.filter(|(submap, _)| is_known(**submap));
         known.next().map_or(Pose::IDENTITY, |(_, (_, pose))| *pose)
     }
 
@@ -84,6 +85,7 @@ type Frame = (Pose, BTreeMap<Voxel, (State, Stamp)>);
 fn frames_of(
     layer: &Layer,
     known: &Known,
+    is_own: bool,
     origin: Pose,
     is_in: impl Fn(BlockIndex, Sheet) -> bool,
 ) -> Vec<Frame> {
@@ -100,7 +102,7 @@ fn frames_of(
         if submap < sheet.number() || !is_in(local, sheet) {
             continue;
         }
-        let pose = known.pose(submap);
+        let pose = known.pose(submap, is_own);
         let pose = if pose == Pose::IDENTITY { origin } else { origin.compose(&pose) };
         let frame = frames.entry((submap, sheet)).or_insert_with(|| (pose, BTreeMap::new()));
         frame.1.insert(local.voxel(voxel_bit(voxel)), layer.get(voxel).unwrap());
@@ -144,6 +146,8 @@ fn say(
 #[derive(Default)]
 struct Model {
     known: BTreeMap<u16, Known>,
+    /// Of the own submaps, the newest of each, not published yet.
+    unsaid: BTreeMap<SubmapId, SubmapRecord>,
     alignments: BTreeMap<u16, Pose>,
     arrivals: Vec<(Stream, Stamp, Stamp)>,
 }
@@ -157,8 +161,9 @@ impl Model {
         let mut frames = BTreeMap::<u16, Frame>::new();
         for (index, block) in mapper.blocks() {
             let (submap, _) = mapper.place_of(index).unwrap();
-            let frame =
-                frames.entry(submap.number()).or_insert_with(|| (own.pose(submap.number()), BTreeMap::new()));
+            let frame = frames
+                .entry(submap.number())
+                .or_insert_with(|| (own.pose(submap.number(), true), BTreeMap::new()));
             for bit in set_bits(&block.known()) {
                 let stamp = mapper.last_seen(index.voxel(bit)).unwrap();
                 frame.1.insert(index.voxel(bit), (block.get(bit), stamp));
@@ -166,7 +171,7 @@ impl Model {
         }
         let mut frames: Vec<Frame> = frames.into_values().collect();
         if let Some(layer) = fusion.layer(OWN) {
-            frames.extend(frames_of(layer, own, Pose::IDENTITY, |local, sheet| {
+            frames.extend(frames_of(layer, own, true, Pose::IDENTITY, |local, sheet| {
                 mapper.place_of(local).is_some_and(|(_, now)| now > sheet)
             }));
         }
@@ -179,7 +184,7 @@ impl Model {
             };
             let known = self.known.get(&stream.origin.0).unwrap_or(&none);
             let origin = self.alignments.get(&stream.origin.0).copied().unwrap_or_default();
-            let frames = frames_of(layer, known, origin, |_, _| true);
+            let frames = frames_of(layer, known, false, origin, |_, _| true);
             frames.iter().for_each(|frame| say(&mut words, frame, came_by));
         }
         let last = words.into_iter().filter_map(|(voxel, words)| Some((voxel, words.into_iter().max()?)));
@@ -203,6 +208,13 @@ fn take(step: &Step, mapper: &mut Mapper, fusions: &mut [&mut Fusion], model: &m
             fusions.iter_mut().for_each(|fusion| fusion.own_scan(mapper, &report));
         }
         Step::Publish => {
+            let unsaid = std::mem::take(&mut model.unsaid);
+            for record in unsaid.values().filter(|record| record.begins) {
+                model.known.entry(OWN.origin.0).or_default().begins.insert(record.submap.number(), now);
+            }
+            for record in unsaid.into_values() {
+                apply(mapper, model, OWN, &SubmapRecord::changes(&[record]).unwrap(), now);
+            }
             let changes = mapper.take_changes(Which::All);
             if !changes.is_empty() {
                 apply(mapper, model, OWN, &changes, now);
@@ -210,15 +222,14 @@ fn take(step: &Step, mapper: &mut Mapper, fusions: &mut [&mut Fusion], model: &m
         }
         Step::Begin => {
             let submap = mapper.begin_submap().unwrap();
-            model.known.entry(OWN.origin.0).or_default().begins.insert(submap.number(), now);
-            let record = SubmapRecord { submap, begins: true, pose: None };
-            apply(mapper, model, OWN, &SubmapRecord::changes(&[record]).unwrap(), now);
+            model.unsaid.insert(submap, SubmapRecord { submap, begins: true, pose: None });
         }
         Step::Move(submap, pose) => {
             let submap = SubmapId::new((*submap).min(mapper.submap().number())).unwrap();
             model.known.entry(OWN.origin.0).or_default().poses.insert(submap.number(), (now, *pose));
-            let record = SubmapRecord { submap, begins: false, pose: Some(*pose) };
-            apply(mapper, model, OWN, &SubmapRecord::changes(&[record]).unwrap(), now);
+            fusions.iter_mut().for_each(|fusion| fusion.set_submap_pose(OWN, submap, *pose));
+            let record = SubmapRecord { submap, begins: false, pose: None };
+            model.unsaid.entry(submap).or_insert(record).pose = Some(*pose);
         }
         Step::Package(origin, sheet, stamp, voxels) => {
             let sheet = Sheet::new(*sheet).unwrap();
@@ -261,8 +272,13 @@ proptest! {
     /// Whatever is seen, published, received and moved in whatever order: the map that is kept up to date, a slice at a
     /// time, is the one that is made at once, and that of the rules.
     #[test]
-    fn submaps_are_fused_as_the_rules_say(steps in prop::collection::vec(step(), 1..50)) {
-        let (mut mapper, mut now, mut model) = (mapper(), Stamp(0), Model::default());
+    fn submaps_are_fused_as_the_rules_say(
+        steps in prop::collection::vec(step(), 1..50), blocks_max in prop_oneof![3 => Just(1_000), 2 => 4..60usize],
+    ) {
+        let config = MapperConfig {
+            memory_bytes_max: blocks_max * MAP_BLOCK_BYTES, ..MapperConfig::preset(Preset::OctoMap, resolution(), 12.0)
+        };
+        let (mut mapper, mut now, mut model) = (Mapper::new(config).unwrap(), Stamp(0), Model::default());
         let new = || Fusion::new(OWN, resolution(), FusionConfig::default());
         let (mut sliced, mut at_once) = (new(), new());
         for step in &steps {
@@ -273,6 +289,7 @@ proptest! {
                 at_once.rebuild(&mapper);
             }
         }
+        take(&Step::Publish, &mut mapper, &mut [&mut sliced, &mut at_once], &mut model, now.plus_micros(1));
         finish(&mut sliced, &mapper);
         let expected = model.map(&mapper, &sliced);
         at_once.rebuild(&mapper);
