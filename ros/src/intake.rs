@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use flockmap::{RobotId, Stamp};
 use flockmap_io::Frame;
-use flockmap_io::ros::{Bytes, Clock as ClockMessage, Odometry, PointCloud2, PoseStamped, TFMessage, Time};
+use flockmap_io::ros::{Bytes, Clock as ClockMessage, Odometry, PointCloud2, PoseArray, PoseStamped, TFMessage, Time};
 use flockmap_node::{ConfiguredNode, Log, RosPoses, RosSection};
 use futures::stream::{self, BoxStream, SelectAll, StreamExt};
 use ros2_client::Subscription;
@@ -32,6 +32,7 @@ pub(crate) enum Input {
     Clock(ClockMessage),
     Teammate(RobotId, PoseStamped),
     Alignment(RobotId, PoseStamped),
+    Submaps(PoseArray),
     /// A message that is none, of a cloud or of something else.
     Damaged(String, bool),
 }
@@ -70,6 +71,10 @@ pub(crate) fn subscribe(topics: &mut Topics, section: &RosSection) -> Result<Inp
         let (robot, poses) = (*robot, topics.subscribe(name, STATUS)?);
         let name = topics.names().topic(name);
         inputs.push(messages(poses, name, false, move |pose| Input::Alignment(robot, pose)));
+    }
+    if !section.submaps.is_empty() {
+        let poses = topics.subscribe(&section.submaps, STATUS)?;
+        inputs.push(messages(poses, topics.names().topic(&section.submaps), false, Input::Submaps));
     }
     Ok(inputs)
 }
@@ -170,6 +175,13 @@ impl Intake {
                 Some(pose) => self.team.set_alignment(robot, pose),
                 None => self.warn("alignment", format!("the alignment of robot {} is no pose", robot.0)),
             },
+            Input::Submaps(message) => {
+                let checked: Option<Vec<_>> = message.poses.iter().map(flockmap_io::ros::Pose::checked).collect();
+                match checked {
+                    Some(poses) => self.team.set_submaps(poses),
+                    None => self.warn("submaps", "one of the poses of submaps is none: all are left out".into()),
+                }
+            }
             Input::Damaged(text, is_cloud) => {
                 if is_cloud {
                     self.scans.take_damaged();

@@ -1,10 +1,11 @@
-//! What topics say of team-mates, on its way to the robot: the newest of each waits, and nobody waits for the robot.
+//! What topics say of team-mates and of the own submaps, on its way to the robot: the newest of each waits, and nobody
+//! waits for the robot.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use flockmap::{Pose, RobotId};
+use flockmap::{Pose, Robot, RobotId, Stamp, SubmapError, SubmapId};
 use flockmap_node::{Log, NodeHandle};
 
 /// Takes what is to be set.
@@ -21,6 +22,7 @@ pub(crate) struct Wanted(Arc<Mutex<State>>);
 struct State {
     positions: BTreeMap<RobotId, [f64; 3]>,
     alignments: BTreeMap<RobotId, Pose>,
+    submaps: Vec<Pose>,
 }
 
 impl Team {
@@ -43,6 +45,25 @@ impl Team {
         self.wanted.lock().alignments.insert(robot, pose);
         let _ = self.wake.try_send(());
     }
+
+    /// `T_map_submap` of the submaps of the own run, from the first on.
+    pub(crate) fn set_submaps(&self, poses: Vec<Pose>) {
+        self.wanted.lock().submaps = poses;
+        let _ = self.wake.try_send(());
+    }
+}
+
+/// Begins submaps until there is one for each pose, and puts each where it is to lie. One that is said again costs
+/// nothing.
+fn put_submaps(robot: &mut Robot, poses: &[Pose], now: Stamp) -> Result<(), SubmapError> {
+    for (number, pose) in (0..).zip(poses) {
+        let submap = SubmapId::new(number).ok_or(SubmapError::Full)?;
+        if robot.submap() < submap {
+            robot.begin_submap(now)?;
+        }
+        robot.set_submap_pose(now, submap, pose)?;
+    }
+    Ok(())
 }
 
 impl Wanted {
@@ -61,9 +82,9 @@ impl Wanted {
 pub(crate) fn set_all(wanted: &Wanted, woken: &Receiver<()>, node: &NodeHandle, log: &Log) {
     let mut set = BTreeMap::<RobotId, Pose>::new();
     while woken.recv().is_ok() {
-        let State { positions, mut alignments } = wanted.take();
+        let State { positions, mut alignments, submaps } = wanted.take();
         alignments.retain(|robot, pose| set.insert(*robot, *pose) != Some(*pose));
-        let call = move |robot: &mut flockmap::Robot, now| {
+        let call = move |robot: &mut Robot, now| {
             let mut faults = Vec::new();
             for (id, position) in positions {
                 let done = robot.set_teammate(id, position, now);
@@ -76,9 +97,33 @@ pub(crate) fn set_all(wanted: &Wanted, woken: &Receiver<()>, node: &NodeHandle, 
                     done.err().map(|error| format!("the alignment of robot {} stays: {error}", id.0)),
                 );
             }
+            let put = put_submaps(robot, &submaps, now);
+            faults.extend(put.err().map(|error| format!("submaps stay where they were: {error}")));
             faults
         };
         let Some(faults) = node.with_robot(call) else { return };
         faults.iter().for_each(|fault| log.warn(fault));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::{Resolution, RobotConfig};
+
+    #[test]
+    fn as_many_submaps_begin_as_there_are_poses_and_each_lies_as_its_pose_says() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let mut robot = Robot::new(RobotConfig::new(RobotId(1), resolution, 7.0), Stamp(0)).unwrap();
+        let at = |x: f64| Pose::from_translation([x, 0.0, 0.0]);
+        put_submaps(&mut robot, &[at(0.0), at(0.5)], Stamp(1)).unwrap();
+        put_submaps(&mut robot, &[at(0.25)], Stamp(2)).unwrap();
+        put_submaps(&mut robot, &[at(0.25), at(0.5), at(0.75)], Stamp(3)).unwrap();
+        assert_eq!(robot.submap().number(), 2);
+        for (number, x) in [(0, 0.25), (1, 0.5), (2, 0.75)] {
+            assert_eq!(robot.submap_pose(SubmapId::new(number).unwrap()), at(x));
+        }
+        let far = put_submaps(&mut robot, &[at(1e9)], Stamp(4)).unwrap_err().to_string();
+        assert!(!far.is_empty() && robot.submap_pose(SubmapId::FIRST) == at(0.25), "{far}");
     }
 }

@@ -507,6 +507,16 @@ public:
     void set_alignment(std::uint16_t origin, const Pose& T_own_origin) {
         detail::check(flockmap_robot_set_alignment(get(), origin, T_own_origin.data()));
     }
+    // The number of the submap that begins: what is seen from now on moves with it.
+    std::uint16_t begin_submap(std::int64_t now_us) {
+        std::uint16_t submap = 0;
+        detail::check(flockmap_robot_begin_submap(get(), now_us, &submap));
+        return submap;
+    }
+    // How a submap of this run lies in the map now, as after a closed loop; nothing of it is sent again.
+    void set_submap_pose(std::int64_t now_us, std::uint16_t submap, const Pose& T_map_submap) {
+        detail::check(flockmap_robot_set_submap_pose(get(), now_us, submap, T_map_submap.data()));
+    }
     // How far the clock of a robot is ahead; empty: measure it again.
     void set_clock_offset(std::uint16_t origin, std::optional<std::int64_t> ahead_us) {
         detail::check(flockmap_robot_set_clock_offset(get(), origin, ahead_us.value_or(0), !ahead_us));

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard};
 
-use flockmap_core::{Pose, Robot, RobotId, Scan, ScanReport, Stamp};
+use flockmap_core::{Pose, Robot, RobotId, Scan, ScanReport, Stamp, SubmapId};
 
 use crate::args::{Args, Out, flag, handle, list, one};
 use crate::result::{Answer, Failure, Outcome, guard};
@@ -165,6 +165,51 @@ pub unsafe extern "C" fn flockmap_robot_set_alignment(
             unsafe { (handle(robot, "robot")?, Args::default().input(T_own_origin, 16, "T_own_origin")?) };
         let pose = pose(numbers, "T_own_origin")?;
         robot.lock()?.set_alignment(RobotId(origin), &pose).map_err(Failure::argument)?;
+        Ok(Outcome::Ok)
+    })
+}
+
+/// Begins the next submap of this run: what is seen from now on moves with it. `*submap`: its number; null: not wanted.
+/// FLOCKMAP_ERROR_ARGUMENT after 4,096 submaps; the last one goes on then. Any thread.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flockmap_robot_begin_submap(
+    robot: *mut RobotHandle,
+    now_us: i64,
+    submap: *mut u16,
+) -> Outcome {
+    guard("flockmap_robot_begin_submap", || {
+        let mut args = Args::default();
+        // SAFETY: the caller's word, as of the header.
+        let (robot, out) = unsafe { (handle(robot, "robot")?, args.wanted(submap, 1, "submap")?) };
+        let begun = robot.lock()?.begin_submap(Stamp(now_us)).map_err(Failure::argument)?;
+        if let Some(mut out) = out {
+            out.set(0, begun.number());
+        }
+        Ok(Outcome::Ok)
+    })
+}
+
+/// Says how a submap of this run lies in the map now, as after a closed loop: what all robots know of it moves there, and
+/// nothing of it is sent again. 16 numbers, row by row: the correction of what was given as `T_map_sensor` while the
+/// submap was written. Rounded to a tenth of a millimetre. Comes into force as an alignment does.
+/// FLOCKMAP_ERROR_ARGUMENT if the submap has not begun, or it is no pose; the one before is kept then. Any thread.
+#[unsafe(no_mangle)]
+#[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
+pub unsafe extern "C" fn flockmap_robot_set_submap_pose(
+    robot: *mut RobotHandle,
+    now_us: i64,
+    submap: u16,
+    T_map_submap: *const f64,
+) -> Outcome {
+    guard("flockmap_robot_set_submap_pose", || {
+        // SAFETY: the caller's word, as of the header.
+        let (robot, numbers) =
+            unsafe { (handle(robot, "robot")?, Args::default().input(T_map_submap, 16, "T_map_submap")?) };
+        let pose = pose(numbers, "T_map_submap")?;
+        let submap = SubmapId::new(submap).ok_or_else(|| {
+            Failure::argument(format!("submap is {submap}, expected 0 to {}", SubmapId::COUNT - 1))
+        })?;
+        robot.lock()?.set_submap_pose(Stamp(now_us), submap, &pose).map_err(Failure::argument)?;
         Ok(Outcome::Ok)
     })
 }

@@ -74,7 +74,8 @@ TEST(poses_that_are_none_are_refused) {
         auto pose = flockmap::at(1.0, 2.0, 3.0);
         pose[at] = value;
         return fails(FLOCKMAP_ERROR_ARGUMENT, why, [&] { seen.robot.insert_scan(2'000, 2'000, kWall, pose); }) &&
-               fails(FLOCKMAP_ERROR_ARGUMENT, why, [&] { seen.robot.set_alignment(2, pose); });
+               fails(FLOCKMAP_ERROR_ARGUMENT, why, [&] { seen.robot.set_alignment(2, pose); }) &&
+               fails(FLOCKMAP_ERROR_ARGUMENT, why, [&] { seen.robot.set_submap_pose(2'000, 0, pose); });
     };
     CHECK(refused(3, kNan, "not finite"));
     CHECK(refused(0, kInfinity, "not finite"));
@@ -274,6 +275,8 @@ TEST(null_is_an_error_everywhere) {
         flockmap_robot_insert_box(r, 0, 0, 0.1, nullptr, i, nullptr, b, 1, 0, nullptr),
         flockmap_robot_insert_box(r, 0, 0, 0.1, nullptr, i, u, nullptr, 1, 0, nullptr),
         flockmap_robot_set_alignment(nullptr, 1, d), flockmap_robot_set_alignment(r, 1, nullptr),
+        flockmap_robot_begin_submap(nullptr, 0, nullptr), flockmap_robot_set_submap_pose(nullptr, 0, 0, d),
+        flockmap_robot_set_submap_pose(r, 0, 0, nullptr),
         flockmap_robot_set_clock_offset(nullptr, 1, 0, 0), flockmap_robot_set_muted(nullptr, 1, 0),
         flockmap_robot_set_teammate(nullptr, 1, d, 0), flockmap_robot_set_teammate(r, 1, nullptr, 0),
         flockmap_robot_handle_datagram(nullptr, 0, b, 1), flockmap_robot_handle_datagram(r, 0, nullptr, 1),

@@ -179,6 +179,25 @@ TEST(two_robots_in_memory_agree_and_events_say_so) {
     CHECK(bob.view().state_at({2.05, 0.05, 10.55}) == State::Occupied && bob.view().state_at({2.05, 0.05, 0.55}) == State::Unknown);
 }
 
+TEST(a_submap_moves_with_what_was_seen_in_it) {
+    auto robot = robot_before_a_wall();
+    const std::int64_t now = 1'000'000;
+    CHECK(robot.begin_submap(now) == 1);
+    robot.set_submap_pose(now, 0, flockmap::at(0, 0, 10));
+    while (robot.poll_timeout().value_or(9'000'000) <= 4'000'000) {
+        robot.handle_timeout(4'000'000);
+        while (robot.poll_transmit(4'000'000)) {}
+    }
+    CHECK(robot.view().state_at({2.05, 0.05, 10.55}) == State::Occupied && robot.view().state_at({2.05, 0.05, 0.55}) == State::Unknown);
+    bool is_refused = false;
+    try {
+        robot.set_submap_pose(now, 2, flockmap::at(0, 0, 0));
+    } catch (const flockmap::Error& error) {
+        is_refused = std::string(error.what()).find("submap 2 has not begun") != std::string::npos;
+    }
+    CHECK(is_refused);
+}
+
 TEST(a_robot_is_used_from_many_threads) {
     auto robot = robot_before_a_wall();
     constexpr int kRounds = 200;

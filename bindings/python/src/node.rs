@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use flockmap::{RobotId, Stamp};
+use flockmap::{RobotId, Stamp, SubmapId};
 use flockmap_node::{ConfiguredNode, Log};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -103,6 +103,22 @@ impl Node {
         let pose = pose("T_own_origin", T_own_origin)?;
         let set = self.ask(py, move |node| {
             node.with_robot(move |robot, _: Stamp| robot.set_alignment(RobotId(origin), &pose))
+        })?;
+        set.map_err(errors::pose)
+    }
+
+    /// Begins the next submap of this run and returns its number: what is seen from now on moves with it.
+    fn begin_submap(&self, py: Python<'_>) -> PyResult<u16> {
+        let begun = self.ask(py, |node| node.with_robot(|robot, now| robot.begin_submap(now)))?;
+        begun.map(SubmapId::number).map_err(errors::refused)
+    }
+
+    /// Says how a submap of this run lies in the map now: (4, 4) float64, as Robot.set_submap_pose has it.
+    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
+    fn set_submap_pose(&self, py: Python<'_>, submap: u16, T_map_submap: &Bound<'_, PyAny>) -> PyResult<()> {
+        let (submap, pose) = (crate::robot::submap(submap)?, pose("T_map_submap", T_map_submap)?);
+        let set = self.ask(py, move |node| {
+            node.with_robot(move |robot, now| robot.set_submap_pose(now, submap, &pose))
         })?;
         set.map_err(errors::pose)
     }

@@ -5,8 +5,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use flockmap::sync::SwarmKey;
 use flockmap::{
-    Destination, MapperConfig, RobotConfig, RobotId, Scan, Stamp, States, StatesUpdate, Voxel, VoxelBox,
-    epoch,
+    Destination, MapperConfig, RobotConfig, RobotId, Scan, Stamp, States, StatesUpdate, SubmapId, Voxel,
+    VoxelBox, epoch,
 };
 use flockmap_node::{KEY_VARIABLE, NodeConfig};
 use numpy::PyArray2;
@@ -262,6 +262,41 @@ impl Robot {
         set.map_err(errors::pose)
     }
 
+    /// Begins the next submap of this run and returns its number: what is seen from now on moves with it.
+    fn begin_submap(&self, py: Python<'_>, now: Time) -> PyResult<u16> {
+        let begun = self.robot.with(py, |robot| robot.begin_submap(now.0))?;
+        begun.map(SubmapId::number).map_err(errors::refused)
+    }
+
+    /// Says how a submap of this run lies in the map now, as after a closed loop: what all robots know of it moves there,
+    /// and nothing of it is sent again. Rounded to a tenth of a millimetre.
+    ///
+    /// T_map_submap: (4, 4) float64, the correction of what was given as T_map_sensor while the submap was written.
+    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
+    fn set_submap_pose(
+        &self,
+        py: Python<'_>,
+        submap: u16,
+        T_map_submap: &Bound<'_, PyAny>,
+        now: Time,
+    ) -> PyResult<()> {
+        let (submap, pose) = (self::submap(submap)?, pose("T_map_submap", T_map_submap)?);
+        let set = self.robot.with(py, |robot| robot.set_submap_pose(now.0, submap, &pose))?;
+        set.map_err(errors::pose)
+    }
+
+    /// T_map_submap of a submap of this run, (4, 4) float64, as it was set, rounded.
+    fn submap_pose<'py>(&self, py: Python<'py>, submap: u16) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let submap = self::submap(submap)?;
+        matrix_of(py, &self.robot.with(py, |robot| robot.submap_pose(submap))?)
+    }
+
+    /// The number of the submap in which scans are written.
+    #[getter]
+    fn submap(&self, py: Python<'_>) -> PyResult<u16> {
+        self.robot.with(py, |robot| robot.submap().number())
+    }
+
     /// Says how far a robot's clock is ahead of this one's, in seconds; None: measure it again. Comes into
     /// force as an alignment does.
     #[pyo3(signature = (origin, seconds))]
@@ -501,6 +536,11 @@ impl Toml {
 fn matrix_of<'py>(py: Python<'py>, pose: &flockmap::Pose) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let rows: Vec<Vec<f64>> = pose_rows(pose).iter().map(|row| row.to_vec()).collect();
     PyArray2::from_vec2(py, &rows).map_err(errors::refused)
+}
+
+pub(crate) fn submap(number: u16) -> PyResult<SubmapId> {
+    let most = SubmapId::COUNT - 1;
+    SubmapId::new(number).ok_or_else(|| errors::pose(format!("submap is {number}, expected 0 to {most}")))
 }
 
 fn swarm_key(given: &Bound<'_, PyAny>) -> PyResult<SwarmKey> {

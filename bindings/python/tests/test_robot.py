@@ -147,6 +147,25 @@ def test_a_view_outlives_its_robot_and_does_not_change():
     assert view.count() == count and newer.count() != count
 
 
+def test_submaps_move_what_was_seen_in_them_on_every_robot():
+    alice, bob = (Robot(id, resolution=0.1, range=7.0) for id in (1, 2))
+    alice.insert_scan(wall(2.05), np.eye(4), 0.1)
+    drive([alice, bob], 0.1, 3)
+    before = bob.view().occupied_points()[:, 0].min()
+    assert alice.begin_submap(3.0) == alice.submap == 1
+    pose = np.eye(4)
+    pose[:3, 3] = [0.5, 0.0, 0.0]
+    alice.set_submap_pose(0, pose, 3.0)
+    drive([alice, bob], 3.0, 5)
+    for robot in (alice, bob):
+        assert robot.view().occupied_points()[:, 0].min() == pytest.approx(before + 0.5)
+    assert np.allclose(alice.submap_pose(0), pose) and np.allclose(alice.submap_pose(1), np.eye(4))
+    with pytest.raises(flockmap.PoseError, match="submap 2 has not begun"):
+        alice.set_submap_pose(2, pose, 5.0)
+    with pytest.raises(flockmap.PoseError, match="expected 0 to 4095"):
+        alice.set_submap_pose(4096, pose, 5.0)
+
+
 def test_alignment_moves_what_others_saw():
     alice, bob = (Robot(id, resolution=0.1, range=7.0) for id in (1, 2))
     alice.insert_scan(wall(2.05), np.eye(4), 0.1)

@@ -14,6 +14,7 @@ mod corridor;
 mod day;
 mod field;
 mod layers;
+mod loops;
 mod mapping;
 mod paper;
 mod place;
@@ -53,6 +54,7 @@ enum Command {
     Mapping(mapping::MappingArgs),
     Field(field::FieldArgs),
     CatchUp(Box<catch_up::CatchUpArgs>),
+    Loops(Box<loops::LoopsArgs>),
     Random(random::RandomArgs),
     Paper(paper::PaperArgs),
     Application(application::ApplicationArgs),
@@ -74,6 +76,7 @@ fn main() -> ExitCode {
         Command::Mapping(args) => mapping::run(args),
         Command::Field(args) => field::run(args),
         Command::CatchUp(args) => catch_up::run(args),
+        Command::Loops(args) => loops::run(args),
         Command::Random(args) => random::run(args),
         Command::Paper(args) => paper::run(args),
         Command::Application(args) => application::run(args),

@@ -125,3 +125,19 @@ fn who_joins_at_the_end_of_a_day_gets_all_of_it() {
     let alone = good("day --robots 1 --metres 5 --no-joiner");
     assert!(alone.contains("all agree") && !alone.contains("late joiner"), "{alone}");
 }
+
+#[test]
+fn what_drifted_is_put_right_for_the_bytes_of_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("loops.json");
+    let flight = "loops forest --seconds 12 --submap-length 3 --closures 2 --steps 2 --drift 8 --loss 0.2";
+    let text = good(&format!("{flight} --json {}", path.display()));
+    assert!(text.contains("submaps at the end: all where they were put"), "{text}");
+    let output = json(&path);
+    assert!(output["is_right"] == true && output["submaps"].as_u64().unwrap() >= 2, "{output}");
+    let found: Vec<f64> =
+        output["maps"].as_array().unwrap().iter().map(|map| map["found"].as_f64().unwrap()).collect();
+    assert!(found[0] == 1.0 && found[1] < found[3], "put right at last: {found:?}");
+    let [map, closure] = ["map_bytes", "closure_bytes"].map(|name| output[name].as_u64().unwrap());
+    assert!(closure > 0 && closure < map / 50, "{closure} of {map} bytes");
+}

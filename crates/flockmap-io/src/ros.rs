@@ -44,7 +44,8 @@ pub use cloud::{PointCloud2, PointField};
 pub use diagnostic::{DiagnosticArray, DiagnosticStatus, KeyValue};
 pub use frames::{FRAMES_MAX, FrameForest, FrameTree, NoPose};
 pub use geometry::{
-    Odometry, Pose, PoseStamped, PoseWithCovariance, TFMessage, TransformStamped, Twist, TwistWithCovariance,
+    Odometry, Pose, PoseArray, PoseStamped, PoseWithCovariance, TFMessage, TransformStamped, Twist,
+    TwistWithCovariance,
 };
 pub use grid::{MapMetaData, OccupancyGrid, OccupancyGridUpdate, Octomap};
 pub use marker::{ColorRGBA, CompressedImage, Marker, MarkerArray, MeshFile, UVCoordinate};

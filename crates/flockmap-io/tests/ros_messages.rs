@@ -5,8 +5,8 @@ use flockmap_grid::{Pose as GridPose, Stamp};
 use flockmap_io::ros::{
     Bytes, Clock, CloudPoints, ColorRGBA, CompressedImage, DiagnosticArray, DiagnosticStatus, Duration,
     Header, KeyValue, MapMetaData, Marker, MarkerArray, MeshFile, OccupancyGrid, OccupancyGridUpdate,
-    Octomap, Odometry, PointCloud2, PointField, Pose, PoseStamped, PoseWithCovariance, RosMessage, TFMessage,
-    Time, TransformStamped, Twist, TwistWithCovariance, UVCoordinate, cloud_of_coloured_points,
+    Octomap, Odometry, PointCloud2, PointField, Pose, PoseArray, PoseStamped, PoseWithCovariance, RosMessage,
+    TFMessage, Time, TransformStamped, Twist, TwistWithCovariance, UVCoordinate, cloud_of_coloured_points,
     cloud_of_floats, cloud_of_points, decode, encode, points_of,
 };
 use proptest::prelude::*;
@@ -92,6 +92,7 @@ macro_rules! with_each {
         $check(header());
         $check(Clock { clock: header().stamp });
         $check(PoseStamped { header: header(), pose: pose() });
+        $check(PoseArray { header: header(), poses: vec![pose(), pose()] });
         $check(transform());
         $check(TFMessage { transforms: vec![transform(), transform()] });
         let covariance = std::array::from_fn(|row| std::array::from_fn(|column| (6 * row + column) as f64));
@@ -305,6 +306,8 @@ proptest! {
         there_and_back(&header);
         there_and_back(&Clock { clock: header.stamp });
         there_and_back(&PoseStamped { header: header.clone(), pose });
+        let poses = transforms.iter().map(|transform| transform.transform).collect();
+        there_and_back(&PoseArray { header: header.clone(), poses });
         transforms.iter().for_each(there_and_back);
         there_and_back(&TFMessage { transforms });
         there_and_back(&Odometry {

@@ -64,6 +64,8 @@ pub struct RobotCounters {
     pub submaps_begun: u64,
     /// How often a submap of this run was moved.
     pub submap_poses: u64,
+    /// Bytes of own packages that say when submaps begin and how they lie; they are in `package_bytes` too.
+    pub submap_package_bytes: u64,
     /// Own batches that were coded independently, since repair was slow, or something was dropped here or elsewhere.
     pub batches_independent: u64,
     /// Events dropped since nobody polled them.

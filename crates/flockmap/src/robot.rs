@@ -62,6 +62,8 @@ pub struct Robot {
     merge_steps_left: u64,
     /// Which long work goes on next.
     turn: Work,
+    /// From when on submaps that are moved come into force.
+    moves_from: Option<Stamp>,
     /// The last slice was left out for a batch.
     is_slice_due: bool,
     teammates: BTreeMap<RobotId, Teammate>,
@@ -116,6 +118,7 @@ impl Robot {
             republishing: None,
             merge_steps_left: 0,
             turn: Work::default(),
+            moves_from: None,
             is_slice_due: false,
             teammates: BTreeMap::new(),
             submaps: Submaps::default(),
@@ -386,7 +389,7 @@ impl Robot {
     pub fn poll_timeout(&self) -> Option<Stamp> {
         let at_once = self.is_busy().then_some(self.now);
         let batch = self.publisher.poll_timeout(&self.mapper).filter(|_| self.republishing.is_none());
-        let due = [at_once, batch, self.submaps_due(), self.session.poll_timeout()];
+        let due = [at_once, batch, self.submaps_due(), self.moves_due(), self.session.poll_timeout()];
         due.into_iter().flatten().min()
     }
 
@@ -512,6 +515,7 @@ impl Robot {
         self.readers.free();
         self.merge_steps_left = MERGE_STEPS_MAX;
         self.now = self.now.max(now);
+        self.hold_moves(self.now);
         self.now
     }
 

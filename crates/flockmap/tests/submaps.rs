@@ -6,7 +6,7 @@ mod common;
 use std::collections::BTreeSet;
 
 use common::{PERFECT, Radio, Swarm, config, resolution};
-use flockmap::{Pose, RobotId, Scan, Stamp, State, SubmapError, SubmapId, Voxel};
+use flockmap::{Pose, Robot, RobotId, Scan, Stamp, State, SubmapError, SubmapId, Voxel};
 
 const LOSSY: Radio = Radio { loss: 0.3, duplication: 0.05, damage: 0.01, delay_ms: (1.0, 60.0) };
 
@@ -162,6 +162,34 @@ fn a_submap_begins_by_the_way_that_the_sensor_has_come() {
     let robot = &swarm.robots[0];
     assert_eq!((robot.submap().number(), robot.counters().submaps_begun), (3, 3));
     assert_eq!(swarm.robots[1].fusion().submaps(robot.own_stream()).count(), 4);
+}
+
+#[test]
+fn a_submap_that_is_moved_all_the_time_is_shown_moved_twice_a_second_and_at_last_where_it_is() {
+    let mut robot = Robot::new(config(1), Stamp(0)).unwrap();
+    let at = on_the_way(3.0);
+    robot.insert_scan(Stamp(1), &scan(Stamp(1), &at), &at).unwrap();
+    let (mut shown, mut times) = (occupied(robot.map()), 0);
+    let (seen, mut pose) = (shown.clone(), Pose::IDENTITY);
+    // A thousand times in two seconds, and half a second of rest.
+    for step in 1..=1_250i64 {
+        let now = Stamp(step * 2_000);
+        if step <= 1_000 {
+            pose = Pose::from_translation([f64::from(step as i32) / 100.0, 0.0, 0.0]);
+            robot.set_submap_pose(now, SubmapId::FIRST, &pose).unwrap();
+        }
+        while robot.poll_timeout().is_some_and(|due| due <= now) {
+            robot.handle_timeout(now);
+            while robot.poll_transmit(now).is_some() {}
+        }
+        let map = occupied(robot.map());
+        times += i32::from(map != shown);
+        shown = map;
+    }
+    assert!((3..=6).contains(&times), "{times} times in 2.5 s");
+    let put = |voxel: &Voxel| resolution().voxel_at(pose.transform(resolution().centre(*voxel))).unwrap();
+    assert_eq!(shown, seen.iter().map(put).collect());
+    assert!(!robot.is_rebuilding());
 }
 
 #[test]

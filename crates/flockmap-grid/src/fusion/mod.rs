@@ -124,6 +124,8 @@ pub struct Fusion {
     due: BTreeSet<RobotId>,
     /// Streams of which submaps were moved likewise.
     due_submaps: BTreeSet<Stream>,
+    /// They are to wait.
+    holds_moves: bool,
     refreshed: u64,
     dropping: Dropping,
 }
@@ -142,6 +144,7 @@ impl Fusion {
             wanted: settings,
             due: BTreeSet::new(),
             due_submaps: BTreeSet::new(),
+            holds_moves: false,
             refreshed: 0,
             dropping: Dropping::default(),
         }

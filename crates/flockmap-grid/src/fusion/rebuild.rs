@@ -51,7 +51,7 @@ impl Rebuild {
                 let is_there =
                     |at: &BlockIndex| mapper.place_of(*at).is_some_and(|(submap, _)| is_moved(submap));
                 own = mapper.indices().filter(is_there).collect();
-                own.sort_unstable_by_key(|at| (parent_of(*at), *at));
+                own.sort_by_cached_key(|at| parent_of(*at));
             }
             if let Some(source) = sources.get(stream).filter(|_| is_own || !due.contains(&stream.origin)) {
                 let parts = source.spans.parts().filter(|(submap, ..)| is_moved(*submap));
@@ -170,7 +170,7 @@ fn note(
 }
 
 /// Blocks that are worked out together, before it is seen how much of them was contested.
-const AT_ONCE: usize = 32;
+const AT_ONCE: usize = 8;
 
 /// To look into a slanted layer for a voxel so often takes as long as to work out a block that is not contested.
 const LOOKS_PER_BLOCK: usize = 32;

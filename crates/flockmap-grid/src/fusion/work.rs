@@ -1,5 +1,7 @@
 //! The map is made anew a part at a time, or at once.
 
+use std::collections::BTreeSet;
+
 use super::Fusion;
 use super::reach::merge;
 use super::rebuild::Rebuild;
@@ -36,13 +38,28 @@ impl Fusion {
 
     /// Whether something was set or forgotten that is not in force yet: call [`Self::work`].
     pub fn is_rebuilding(&self) -> bool {
-        let is_due = !self.due.is_empty() || !self.due_submaps.is_empty();
-        self.next.is_some() || is_due || self.sources.is_any_leaving() || self.sources.unnoted().is_some()
+        self.is_changing() || self.is_moved()
     }
 
     /// Whether [`Self::work`] has anything to do: the map is made anew, or layers that were forgotten are let go of.
     pub fn has_work(&self) -> bool {
-        self.is_rebuilding() || self.sources.is_any_discarded()
+        self.is_changing() || self.is_moved() && !self.holds_moves || self.sources.is_any_discarded()
+    }
+
+    /// Whether something but a move of submaps is not in force yet.
+    fn is_changing(&self) -> bool {
+        let is_left = self.sources.is_any_leaving() || self.sources.unnoted().is_some();
+        self.next.is_some() || !self.due.is_empty() || is_left
+    }
+
+    /// Whether submaps were moved, and the map is not being made by that yet.
+    pub fn is_moved(&self) -> bool {
+        !self.due_submaps.is_empty()
+    }
+
+    /// Whether [`Self::work`] is to leave submaps where they are for now: it has no clock to see how often they are moved.
+    pub const fn hold_moves(&mut self, holds: bool) {
+        self.holds_moves = holds;
     }
 
     /// Cubes of 4³ blocks of layers that are still to be gone through for the map that is being made; `None` if none is.
@@ -79,11 +96,14 @@ impl Fusion {
 
     /// Begins to make the map by what is set now, if that makes a difference.
     fn begin(&mut self, mapper: &Mapper) {
-        let Self { shown, wanted, due, due_submaps, sources, .. } = self;
+        let Self { shown, wanted, due, due_submaps, holds_moves, sources, .. } = self;
         let mut due = core::mem::take(due);
         due.retain(|id| !wanted.origin(*id).is_as(shown.settings.origin(*id)) || shown.outdated.contains(id));
         let mut submaps = Vec::new();
-        for stream in core::mem::take(due_submaps) {
+        // What begins is made by all that was set.
+        let is_held = *holds_moves && due.is_empty() && !sources.is_any_leaving();
+        let due_streams = if is_held { BTreeSet::new() } else { core::mem::take(due_submaps) };
+        for stream in due_streams {
             let of_stream = |settings: &Settings, submap| settings.submap(stream, submap);
             let is_moved =
                 |submap: &SubmapId| of_stream(wanted, *submap) != of_stream(&shown.settings, *submap);

@@ -43,6 +43,15 @@ pub struct PoseStamped {
     pub pose: Pose,
 }
 
+/// `geometry_msgs/msg/PoseArray`: poses in the frame of the header.
+#[derive(Serialize, Deserialize, Clone, PartialEq, Debug, Default)]
+pub struct PoseArray {
+    /// Stamp and frame.
+    pub header: Header,
+    /// The poses.
+    pub poses: Vec<Pose>,
+}
+
 /// `geometry_msgs/msg/TransformStamped`: the pose of one frame in another.
 #[derive(Serialize, Deserialize, Clone, PartialEq, Debug, Default)]
 pub struct TransformStamped {

@@ -2,7 +2,7 @@
 
 use super::cloud::PointCloud2;
 use super::diagnostic::DiagnosticArray;
-use super::geometry::{Odometry, PoseStamped, TFMessage, TransformStamped};
+use super::geometry::{Odometry, PoseArray, PoseStamped, TFMessage, TransformStamped};
 use super::grid::{OccupancyGrid, OccupancyGridUpdate, Octomap};
 use super::marker::{Marker, MarkerArray};
 use super::time::{Clock, Header};
@@ -31,6 +31,7 @@ messages! {
     "std_msgs" "Header" Header,
     "rosgraph_msgs" "Clock" Clock,
     "geometry_msgs" "PoseStamped" PoseStamped,
+    "geometry_msgs" "PoseArray" PoseArray,
     "geometry_msgs" "TransformStamped" TransformStamped,
     "tf2_msgs" "TFMessage" TFMessage,
     "nav_msgs" "Odometry" Odometry,

@@ -35,6 +35,9 @@ pub struct RosSection {
     pub teammates: BTreeMap<RobotId, String>,
     /// Topics of alignments `T_own_origin`, `geometry_msgs/PoseStamped`, by robot.
     pub alignments: BTreeMap<RobotId, String>,
+    /// Topic of how the submaps lie in the frame of the map, `geometry_msgs/PoseArray`: pose n is `T_map_submap` of
+    /// submap n, and where there are more than have begun, more begin. None if it is empty.
+    pub submaps: String,
     /// `occupied_points` has what is so near to the robot.
     pub near_range_m: f64,
     /// `occupied_points` is published so often at most.
@@ -84,6 +87,7 @@ impl Default for RosSection {
             domain_id: None,
             teammates: BTreeMap::new(),
             alignments: BTreeMap::new(),
+            submaps: String::new(),
             near_range_m: 10.0,
             near_period_s: 0.2,
             all_period_s: 1.0,

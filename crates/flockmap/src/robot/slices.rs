@@ -1,13 +1,19 @@
 //! Long work, of which each call of [`Robot::handle_timeout`] does a slice.
 
+use core::time::Duration;
+
 use flockmap_grid::Stamp;
 
 use super::Robot;
 use crate::effort::Work;
 
 /// Blocks of the fused map that one call of [`Robot::handle_timeout`] works out at most while the map is made anew:
-/// each takes 10 to 40 µs.
-pub const REBUILD_BLOCKS: usize = 256;
+/// each takes 10 to 40 µs, and some ten times that where submaps lie over each other and are packed.
+pub const REBUILD_BLOCKS: usize = 128;
+
+/// Submaps that are moved again and again come into force so often at most, whoever moves them: each time much of the map
+/// may be worked out anew.
+const MOVES_APART: Duration = Duration::from_millis(500);
 
 impl Robot {
     /// Whether there is work that goes on in slices.
@@ -23,10 +29,26 @@ impl Robot {
         let Some(work) = turns.into_iter().find(|work| self.has(*work)) else { return };
         self.turn = work.next();
         match work {
-            Work::Rebuild => drop(self.fusion.work(&self.mapper, REBUILD_BLOCKS)),
+            Work::Rebuild => {
+                let is_moved = self.fusion.is_moved();
+                self.fusion.work(&self.mapper, REBUILD_BLOCKS);
+                if is_moved && !self.fusion.is_moved() {
+                    self.moves_from = Some(now.plus(MOVES_APART));
+                }
+            }
             Work::Snapshots => self.go_on_with_snapshots(now),
             Work::Republish => self.go_on_with_republishing(now),
         }
+    }
+
+    /// When submaps come into force that were moved soon after others.
+    pub(super) fn moves_due(&self) -> Option<Stamp> {
+        self.moves_from.filter(|_| self.fusion.is_moved())
+    }
+
+    /// Lets them wait, or no longer.
+    pub(super) fn hold_moves(&mut self, now: Stamp) {
+        self.fusion.hold_moves(self.moves_from.is_some_and(|from| now < from));
     }
 
     fn has(&self, work: Work) -> bool {

@@ -104,6 +104,8 @@ impl Robot {
         // They were checked when they were set.
         let Ok(changes) = SubmapRecord::changes(&records) else { return };
         let batch: Batch = self.publisher.batch_of_records();
+        let before = self.counters.package_bytes;
         self.publish(now, batch, changes);
+        self.counters.submap_package_bytes += self.counters.package_bytes - before;
     }
 }
