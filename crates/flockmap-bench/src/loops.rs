@@ -99,6 +99,8 @@ struct Output {
 #[derive(Serialize, Debug)]
 struct Row {
     name: &'static str,
+    /// Packages of its flight so far.
+    package_bytes: u64,
     #[serde(flatten)]
     likeness: Likeness,
 }
@@ -126,7 +128,11 @@ pub fn run(args: &LoopsArgs) -> anyhow::Result<bool> {
     let right = Flown::fly(&plan, Drift::NONE, None)?;
     let (way_m, map_bytes) = (right.way_m, right.first().counters().package_bytes);
     let truth = Obstacles::of(right.listener().map());
-    let row = |name, flown: &Flown| Row { name, likeness: truth.likeness(flown.listener().map()) };
+    let row = |name, flown: &Flown| Row {
+        name,
+        package_bytes: flown.first().counters().package_bytes,
+        likeness: truth.likeness(flown.listener().map()),
+    };
     let mut maps = vec![row("without drift", &right)];
     drop(right);
     maps.push(row("with drift", &Flown::fly(&plan, drift, None)?));
@@ -180,9 +186,10 @@ impl Output {
             self.loss * 100.0
         );
         let percent = |share: f64| format!("{:.1} %", share * 100.0);
-        let rows = self.maps.iter().map(|Row { name, likeness }| {
+        let rows = self.maps.iter().map(|Row { name, package_bytes, likeness }| {
             [
                 (*name).to_owned(),
+                thousands(*package_bytes),
                 thousands(likeness.known),
                 percent(likeness.same),
                 thousands(likeness.occupied),
@@ -191,10 +198,10 @@ impl Output {
                 format!("{:.3}", likeness.thickness_m),
             ]
         });
-        let headings = ["", "voxels", "same", "obstacles", "right", "found", "thick m"];
+        let headings = ["", "bytes sent", "voxels", "same", "obstacles", "right", "found", "thick m"];
         println!("{}", DataTable::unnamed(headings, rows));
         println!(
-            "  same: share of the voxels known in both maps. right: obstacles within a voxel of one of the map without drift; found: its \
+            "  bytes sent: packages so far. same: share of the voxels known in both maps. right: obstacles within a voxel of one of the map without drift; found: its \
              obstacles within a voxel of one here.\n  thick: how far an obstacle goes on along the axis on which that is least, the mean.\n"
         );
         let of_map = |bytes: u64| bytes as f64 / self.map_bytes.max(1) as f64 * 100.0;
