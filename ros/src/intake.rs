@@ -7,7 +7,9 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use flockmap::{RobotId, Stamp};
 use flockmap_io::Frame;
-use flockmap_io::ros::{Bytes, Clock as ClockMessage, Odometry, PointCloud2, PoseArray, PoseStamped, TFMessage, Time};
+use flockmap_io::ros::{
+    Bytes, Clock as ClockMessage, Odometry, PointCloud2, PoseArray, PoseStamped, TFMessage, Time,
+};
 use flockmap_node::{ConfiguredNode, Log, RosPoses, RosSection};
 use futures::stream::{self, BoxStream, SelectAll, StreamExt};
 use ros2_client::Subscription;
@@ -176,10 +178,13 @@ impl Intake {
                 None => self.warn("alignment", format!("the alignment of robot {} is no pose", robot.0)),
             },
             Input::Submaps(message) => {
-                let checked: Option<Vec<_>> = message.poses.iter().map(flockmap_io::ros::Pose::checked).collect();
+                let checked: Option<Vec<_>> =
+                    message.poses.iter().map(flockmap_io::ros::Pose::checked).collect();
                 match checked {
                     Some(poses) => self.team.set_submaps(poses),
-                    None => self.warn("submaps", "one of the poses of submaps is none: all are left out".into()),
+                    None => {
+                        self.warn("submaps", "one of the poses of submaps is none: all are left out".into())
+                    }
                 }
             }
             Input::Damaged(text, is_cloud) => {

@@ -1,6 +1,6 @@
 //! What calls are given beside arrays: stamps, poses, boxes, names.
 
-use flockmap::{MapView, Pose, Resolution, Stamp, VoxelBox};
+use flockmap::{MapView, Pose, Resolution, Stamp, SubmapId, VoxelBox};
 use flockmap_plan::{Obstacles, box_between};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyFloat};
@@ -33,6 +33,12 @@ impl FromPyObject<'_, '_> for Time {
         let nanoseconds = given.extract::<i64>().map_err(|_| wrong())?;
         Ok(Self(Stamp(nanoseconds.div_euclid(1_000))))
     }
+}
+
+/// The number of a submap.
+pub(crate) fn submap(number: u16) -> PyResult<SubmapId> {
+    let most = SubmapId::COUNT - 1;
+    SubmapId::new(number).ok_or_else(|| errors::pose(format!("submap is {number}, expected 0 to {most}")))
 }
 
 /// A pose: (4, 4) numbers, the upper left (3, 3) a rotation, the last row 0 0 0 1.

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::errors::{self, ClosedError, ConfigError, Error};
-use crate::given::pose;
+use crate::given::{self, pose};
 use crate::map_view::MapView;
 use crate::shared::Shared;
 use crate::values::to_python;
@@ -116,7 +116,7 @@ impl Node {
     /// Says how a submap of this run lies in the map now: (4, 4) float64, as Robot.set_submap_pose has it.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     fn set_submap_pose(&self, py: Python<'_>, submap: u16, T_map_submap: &Bound<'_, PyAny>) -> PyResult<()> {
-        let (submap, pose) = (crate::robot::submap(submap)?, pose("T_map_submap", T_map_submap)?);
+        let (submap, pose) = (given::submap(submap)?, pose("T_map_submap", T_map_submap)?);
         let set = self.ask(py, move |node| {
             node.with_robot(move |robot, now| robot.set_submap_pose(now, submap, &pose))
         })?;

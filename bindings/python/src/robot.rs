@@ -16,7 +16,7 @@ use pyo3::types::{PyBytes, PyDict, PyString};
 use crate::arrays::{Points, states, triple, voxels_with_states};
 use crate::errors::{self, ConfigError, DatagramError, Error};
 use crate::event::Event;
-use crate::given::{Time, named, pose, pose_rows, resolution};
+use crate::given::{self, Time, named, pose, pose_rows, resolution};
 use crate::map_view::MapView;
 use crate::shared::Shared;
 use crate::values::to_python;
@@ -280,14 +280,14 @@ impl Robot {
         T_map_submap: &Bound<'_, PyAny>,
         now: Time,
     ) -> PyResult<()> {
-        let (submap, pose) = (self::submap(submap)?, pose("T_map_submap", T_map_submap)?);
+        let (submap, pose) = (given::submap(submap)?, pose("T_map_submap", T_map_submap)?);
         let set = self.robot.with(py, |robot| robot.set_submap_pose(now.0, submap, &pose))?;
         set.map_err(errors::pose)
     }
 
     /// T_map_submap of a submap of this run, (4, 4) float64, as it was set, rounded.
     fn submap_pose<'py>(&self, py: Python<'py>, submap: u16) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let submap = self::submap(submap)?;
+        let submap = given::submap(submap)?;
         matrix_of(py, &self.robot.with(py, |robot| robot.submap_pose(submap))?)
     }
 
@@ -536,11 +536,6 @@ impl Toml {
 fn matrix_of<'py>(py: Python<'py>, pose: &flockmap::Pose) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let rows: Vec<Vec<f64>> = pose_rows(pose).iter().map(|row| row.to_vec()).collect();
     PyArray2::from_vec2(py, &rows).map_err(errors::refused)
-}
-
-pub(crate) fn submap(number: u16) -> PyResult<SubmapId> {
-    let most = SubmapId::COUNT - 1;
-    SubmapId::new(number).ok_or_else(|| errors::pose(format!("submap is {number}, expected 0 to {most}")))
 }
 
 fn swarm_key(given: &Bound<'_, PyAny>) -> PyResult<SwarmKey> {

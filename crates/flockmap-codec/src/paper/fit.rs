@@ -83,10 +83,10 @@ impl Fit {
         let (codec, others) = (*codec, *others);
         while let Some(piece) = self.waiting.pop() {
             let room = room(&piece);
-            // What it takes; `None` if no package can hold it.
-            // What `raw` takes the forecast knows.
+            // The largest box that a package can fill; for `raw` the forecast knows it.
             let fills_max = if codec == Codec::Raw { usize::MAX } else { room };
             let box_max = states::voxels_max(codec, fills_max, others);
+            // What it takes; `None` if no package can hold it.
             let needed = if piece.region.volume() > u128::from(box_max) && piece.states.len() > 1 {
                 // Not even to be tried: that takes as long as its box is large, and voxels may lie far apart.
                 None

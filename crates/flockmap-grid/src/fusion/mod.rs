@@ -176,6 +176,7 @@ impl Fusion {
         let submap = self.wanted.submap(own, mapper.submap());
         self.note_near(report.sensor.map(|sensor| submap.transform(sensor)));
         self.refresh(mapper, |fused| fused.reach_own(own, mapper, &report.touched));
+        // Of later submaps `moved` says what was forgotten.
         if mapper.submap() == SubmapId::FIRST || self.shown.settings.is_unmoved(own) {
             let forgotten: Vec<_> = report.forgotten.iter().map(|index| (*index, [u64::MAX; 8])).collect();
             let of = |_: &(BlockIndex, Plane)| Some(SubmapId::FIRST);
@@ -314,6 +315,9 @@ impl Fusion {
     pub fn begin_run(&mut self, own: Stream) {
         let former = self.sources.own;
         self.settings_mut().for_each(|settings| settings.rename(former, own));
+        if self.due_submaps.remove(&former) {
+            self.due_submaps.insert(own);
+        }
         self.sources.begin_run(own);
     }
 

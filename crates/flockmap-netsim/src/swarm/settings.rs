@@ -71,7 +71,7 @@ impl Settings {
         let mut trouble = Trouble::draw(options);
         let seconds = if options.seconds.is_none() { seconds.max(trouble.seconds()) } else { seconds };
         let mapping = (seconds.clamp(0.1, 3_600.0) * 1e6) as i64;
-        // They are worked out at each scan: a long flight takes a minute for that.
+        // To fuse submaps that are turned, at each scan, takes a minute in a flight of five.
         trouble.has_submaps &= mapping <= SUBMAPS_MAX_MICROS;
         let drawn = if random.happens(0.5) { Cast::Broadcast } else { Cast::Unicast };
         let cast = options.cast.unwrap_or(drawn);

@@ -8,11 +8,11 @@ use super::Robot;
 use crate::effort::Work;
 
 /// Blocks of the fused map that one call of [`Robot::handle_timeout`] works out at most while the map is made anew:
-/// each takes 10 to 40 µs, and some ten times that where submaps lie over each other and are packed.
+/// each takes 10 to 40 µs, and up to a millisecond where submaps that lie over each other are packed.
 pub const REBUILD_BLOCKS: usize = 128;
 
-/// Submaps that are moved again and again come into force so often at most, whoever moves them: each time much of the map
-/// may be worked out anew.
+/// Submaps that are moved again and again, here or by another robot, come into force no sooner after one another: each time
+/// much of the map may be worked out anew.
 const MOVES_APART: Duration = Duration::from_millis(500);
 
 impl Robot {

@@ -304,3 +304,18 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_submap_that_was_moved_just_before_another_run_began_is_shown_moved() {
+    let (mut mapper, mut fusion) = (mapper(), Fusion::new(OWN, resolution(), FusionConfig::default()));
+    let scan = Scan { stamp: Stamp(0), points: vec![[1.1, 0.1, 0.1]], no_returns: Vec::new() };
+    let report = mapper.insert(&scan, &Pose::IDENTITY, &[]);
+    fusion.own_scan(&mapper, &report);
+    let seen = voxels(&fusion);
+    fusion.set_submap_pose(OWN, SubmapId::FIRST, Pose::from_translation([4.0, 0.0, 0.0]));
+    fusion.begin_run(Stream { epoch: OWN.epoch + 1, ..OWN });
+    finish(&mut fusion, &mapper);
+    let by = (4.0 / resolution().metres()).round() as i32;
+    let moved = seen.into_iter().map(|(at, state)| (Voxel::new(at.x + by, at.y, at.z), state));
+    assert_eq!(voxels(&fusion), moved.collect());
+}
