@@ -668,6 +668,21 @@ flockmap_result flockmap_robot_set_alignment(struct flockmap_robot *robot,
                                              uint16_t origin,
                                              const double *T_own_origin);
 
+// Begins the next submap of this run: what is seen from now on moves with it. `*submap`: its number; null: not wanted.
+// FLOCKMAP_ERROR_ARGUMENT after 4,096 submaps; the last one goes on then. Any thread.
+flockmap_result flockmap_robot_begin_submap(struct flockmap_robot *robot,
+                                            int64_t now_us,
+                                            uint16_t *submap);
+
+// Says how a submap of this run lies in the map now, as after a closed loop: what all robots know of it moves there, and
+// nothing of it is sent again. 16 numbers, row by row: the correction of what was given as `T_map_sensor` while the
+// submap was written. Rounded to a tenth of a millimetre. Comes into force as an alignment does.
+// FLOCKMAP_ERROR_ARGUMENT if the submap has not begun, or it is no pose; the one before is kept then. Any thread.
+flockmap_result flockmap_robot_set_submap_pose(struct flockmap_robot *robot,
+                                               int64_t now_us,
+                                               uint16_t submap,
+                                               const double *T_map_submap);
+
 // Says how far a robot's clock is ahead of this one's, in microseconds; used in place of what is measured.
 // `is_measured` 1: measure again, `ahead_us` is not used; else 0. Comes into force as an alignment does. Any thread.
 flockmap_result flockmap_robot_set_clock_offset(struct flockmap_robot *robot,
