@@ -18,6 +18,7 @@ mod loops;
 mod mapping;
 mod paper;
 mod place;
+mod processor;
 mod random;
 mod rival_swarm;
 mod snapshot_run;

@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use flockmap::grid::{MapperConfig, Preset};
 use flockmap::sync::BYTES_PER_S_MIN;
-use flockmap::{BatchConfig, Codec, Resolution, RobotConfig, RobotId};
+use flockmap::{FusionConfig, BatchConfig, Codec, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::{Lidar, OptionError, Rendering};
 use serde::de::{DeserializeOwned, IntoDeserializer as _};
 
@@ -36,6 +36,9 @@ pub struct MapArgs {
     /// A submap begins after so many metres of way of the sensor [default: one for all]
     #[arg(long, value_name = "M")]
     pub submap_length: Option<f64>,
+    /// Where a submap has an obstacle, those that older submaps of its run have within so many voxels go: 0 to 7
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub submap_clears: u8,
     /// Rules of the mapper: rog-map, racer or octomap
     #[arg(long, value_name = "NAME", default_value_t = Preset::RogMap)]
     pub mapper: Preset,
@@ -184,8 +187,11 @@ impl MapArgs {
                 "--submap-length is {length}, expected 0.1 to 1,000,000 m"
             );
         }
+        let clears = self.submap_clears;
+        ensure!(clears <= 7, "--submap-clears is {clears}, expected 0 to 7 voxels");
+        let fusion = FusionConfig { submap_clears_voxels: clears, ..config.fusion };
         let (mapper, batch) = (self.mapper()?, self.batch()?);
-        Ok(RobotConfig { mapper, batch, codec, seed, submap_length_m, ..config })
+        Ok(RobotConfig { mapper, batch, codec, seed, submap_length_m, fusion, ..config })
     }
 
     /// When batches close.

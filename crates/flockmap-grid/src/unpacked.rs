@@ -1,5 +1,6 @@
 //! What was unpacked last, for who reads it again.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Something that is kept packed.
@@ -23,13 +24,16 @@ pub const UNPACKED_BYTES_MAX: usize = 2 << 20;
 /// Parts of any number of layers or maps, those that were read last at the end. What is packed does not change, so that
 /// it is known by where it lies.
 #[derive(Debug)]
-pub(crate) struct Unpacked<P: Packed>(Mutex<Kept<P>>);
+pub(crate) struct Unpacked<P: Packed> {
+    kept: Mutex<Kept<P>>,
+    count: AtomicUsize,
+}
 
 type Kept<P> = Vec<(Arc<P>, Arc<<P as Packed>::Open>)>;
 
 impl<P: Packed> Default for Unpacked<P> {
     fn default() -> Self {
-        Self(Mutex::default())
+        Self { kept: Mutex::default(), count: AtomicUsize::new(0) }
     }
 }
 
@@ -40,6 +44,7 @@ impl<P: Packed> Unpacked<P> {
             return open;
         }
         // Other threads read meanwhile what is there.
+        self.count.fetch_add(1, Ordering::Relaxed);
         let open = Arc::new(packed.unpack());
         let mut kept = self.kept();
         let mut bytes = packed.open_bytes();
@@ -80,9 +85,14 @@ impl<P: Packed> Unpacked<P> {
         }
     }
 
+    /// How often something was unpacked to be read: what that cost.
+    pub(crate) fn count(&self) -> usize {
+        self.count.load(Ordering::Relaxed)
+    }
+
     /// Never held while something is unpacked.
     fn kept(&self) -> MutexGuard<'_, Kept<P>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -1,7 +1,7 @@
 //! A robot that maps while its poses drift, and those that get its map.
 
 use std::path::Path;
-use std::time::Instant;
+use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use flockmap::{Pose, Robot, RobotConfig, RobotId, Stamp, SubmapId};
@@ -12,6 +12,7 @@ use flockmap_cli::{stop, swarm};
 use flockmap_netsim::{Datagram, Delivery, IP_UDP_BYTES, RadioConfig, Watch};
 
 use super::drift::Drift;
+use crate::processor::processor_time;
 
 /// What is flown.
 pub(super) struct Plan<'a> {
@@ -52,7 +53,7 @@ pub(super) struct Flown {
     /// When the last one began, until all robots show it.
     putting_right: Option<Stamp>,
     step_micros_max: i64,
-    longest_scan_s: f64,
+    longest_scan: Duration,
 }
 
 /// What a closure took.
@@ -61,24 +62,25 @@ pub(super) struct Closed {
     pub(super) wire_bytes: u64,
 }
 
-/// How long calls take.
+/// How long calls take of a processor.
 #[derive(Default)]
 struct Calls {
     is_watched: bool,
-    started: Option<Instant>,
-    longest_s: f64,
+    started: Option<Duration>,
+    longest: Duration,
     wire_bytes: u64,
 }
 
 impl Watch<Robot> for Calls {
     fn begins(&mut self, _: Stamp, _: usize, _: &mut Robot, _: Option<&Delivery>) {
-        self.started = Some(Instant::now());
+        self.started = Some(processor_time());
     }
 
     fn called(&mut self, _: Stamp, _: usize, robot: &mut Robot) {
-        let took = self.started.take().map_or(0.0, |started| started.elapsed().as_secs_f64());
+        let took =
+            self.started.take().map_or(Duration::ZERO, |started| processor_time().saturating_sub(started));
         if self.is_watched {
-            self.longest_s = self.longest_s.max(took);
+            self.longest = self.longest.max(took);
         }
         while robot.poll_event().is_some() {}
     }
@@ -113,7 +115,7 @@ impl Flown {
             closed_at: 0.0,
             putting_right: None,
             step_micros_max: 0,
-            longest_scan_s: 0.0,
+            longest_scan: Duration::ZERO,
         };
         while let Some(next) = flown.flight.next_scan() {
             flown.flight.network.step(Some(next), &mut flown.watch);
@@ -147,11 +149,11 @@ impl Flown {
     }
 
     pub(super) fn longest_call_s(&self) -> f64 {
-        self.watch.longest_s
+        self.watch.longest.as_secs_f64()
     }
 
     pub(super) fn longest_scan_s(&self) -> f64 {
-        self.longest_scan_s
+        self.longest_scan.as_secs_f64()
     }
 
     /// Whether every robot has all submaps of the first one where that has put them.
@@ -204,10 +206,10 @@ impl Flown {
                 let id = RobotId(mate.number as u16 + 1);
                 robot.set_teammate(id, corrected.transform(mate.position), now)?;
             }
-            let started = Instant::now();
+            let started = processor_time();
             robot.insert_scan(now, &frame.scan, &corrected.compose(&frame.pose))?;
             if self.watch.is_watched {
-                self.longest_scan_s = self.longest_scan_s.max(started.elapsed().as_secs_f64());
+                self.longest_scan = self.longest_scan.max(processor_time().saturating_sub(started));
             }
         }
         Ok(())

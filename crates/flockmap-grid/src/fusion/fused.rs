@@ -1,14 +1,17 @@
 //! A map made of own observations and layers by given settings.
 
 use core::cmp::Reverse;
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 
-use super::part::Part;
+use super::part::{Part, said_of};
 use super::settings::Settings;
 use super::sources::Sources;
 use super::view::MapView;
 use crate::submap::{BlockBox, is_reserved};
-use crate::{BlockIndex, Mapper, Plane, RobotId, Stamp, State, Voxel, set_bits};
+use crate::{
+    BlockIndex, Mapper, Plane, RobotId, Stamp, State, StateBlock, VOXEL_LIMIT, Voxel, plane_within, set_bits,
+};
 
 /// Blocks of the fused map that are worked out together: enough that what they have in common is looked at
 /// once, few enough that what is noted of them, half a kilobyte each, stays small.
@@ -29,47 +32,38 @@ impl Fused {
         Self { settings, view, outdated: BTreeSet::new(), is_next: false }
     }
 
-    /// Works out voxels anew. What just one source knows is copied, 64 voxels at a time; only voxels that
-    /// several know are compared one by one. Returns how often a layer was looked into for one of these.
+    /// Works out voxels anew, 64 at a time. Only where one part says Free and another Occupied stamps are
+    /// compared, voxel by voxel. Returns how often a part was looked into for one of these.
     pub(super) fn refresh(
         &mut self,
         sources: &Sources,
         mapper: &Mapper,
         targets: &[(BlockIndex, Plane)],
     ) -> usize {
-        let mut looked = 0;
-        for targets in targets.chunks(REFRESHED_AT_ONCE) {
+        let (mut looked, clears) = (0, self.settings.submap_clears_voxels);
+        for targets in self.asked(targets).chunks(REFRESHED_AT_ONCE) {
             let Some(around) = BlockBox::around(targets.iter().map(|(index, _)| *index)) else { continue };
             let own = self.is_own_plain(sources.own, mapper).then_some(mapper);
-            let own_block =
-                |index, mask| own.and_then(|own| own.block(index)).map(|block| block.masked(mask));
-            let mut fused: Vec<_> =
-                targets.iter().map(|(index, mask)| own_block(*index, mask).unwrap_or_default()).collect();
             let parts = self.parts(sources, mapper, &around);
-            let mut contested = vec![[0u64; 8]; targets.len()];
-            // Number of a target, and of a part that knows something of it: of a crowd few do.
-            let mut known_by: Vec<(usize, usize)> = Vec::new();
-            for (nth, part) in parts.iter().enumerate() {
-                part.blocks(targets, |number, states| {
-                    let (fused, contested) = (&mut fused[number], &mut contested[number]);
-                    let (known, new) = (fused.known(), states.known());
-                    known_by.extend((new != [0; 8]).then_some((number, nth)));
-                    for z in 0..8 {
-                        contested[z] |= known[z] & new[z];
-                    }
-                    fused.overlay(&states.masked(&core::array::from_fn(|z| !known[z])));
+            let all_said = said_of(&parts, targets, clears);
+            let mut rest = all_said.as_slice();
+            let mut fused = Vec::with_capacity(targets.len());
+            for (number, (index, mask)) in targets.iter().enumerate() {
+                let (said, later) = rest.split_at(rest.partition_point(|said| said.target <= number));
+                rest = later;
+                let own_block = own.and_then(|own| own.block(*index)).map(|block| block.masked(mask));
+                let all = || said.iter().map(|said| &said.states).chain(&own_block);
+                let [free, occupied] = [StateBlock::free, StateBlock::occupied].map(|plane| {
+                    all().fold([0; 8], |any, states| core::array::from_fn(|z| any[z] | plane(states)[z]))
                 });
-            }
-            known_by.sort_unstable();
-            for known_by in known_by.chunk_by(|(a, _), (b, _)| a == b) {
-                let number = known_by[0].0;
-                for bit in set_bits(&contested[number]) {
-                    let voxel = targets[number].0.voxel(bit);
-                    let known_by = known_by.iter().map(|(_, nth)| &parts[*nth]);
-                    looked += known_by.len();
-                    let last = self.last_observation(known_by, sources.own.origin, own, voxel);
-                    fused[number].set(bit, last.map_or(State::Unknown, |(state, _)| state));
+                let mut states = StateBlock::new(free, occupied);
+                for bit in set_bits(&core::array::from_fn(|z| free[z] & occupied[z])) {
+                    let known_by = said.iter().filter(|said| said.states.get(bit) != State::Unknown);
+                    let known_by = known_by.map(|said| &parts[said.part]).inspect(|_| looked += 1);
+                    let last = self.last_observation(known_by, sources.own.origin, own, index.voxel(bit));
+                    states.set(bit, last.map_or(State::Unknown, |(state, _)| state));
                 }
+                fused.push(states);
             }
             // What layers keep far out is no part of a map.
             for ((index, mask), fused) in targets.iter().zip(fused).filter(|((at, _), _)| !is_reserved(*at)) {
@@ -77,6 +71,14 @@ impl Fused {
             }
         }
         looked
+    }
+
+    /// What is to be worked out for these voxels: where newer submaps clear older ones, whole blocks.
+    pub(super) fn asked<'a>(&self, targets: &'a [(BlockIndex, Plane)]) -> Cow<'a, [(BlockIndex, Plane)]> {
+        match self.settings.submap_clears_voxels {
+            0 => Cow::Borrowed(targets),
+            _ => Cow::Owned(targets.iter().map(|(index, _)| whole(*index)).collect()),
+        }
     }
 
     /// The state that was observed last on this robot's clock, by these parts, and by `own` where that is plain, and
@@ -97,10 +99,17 @@ impl Fused {
         });
         let parts = parts.filter_map(|part| {
             let (state, made) = part.look_up(voxel, priority)?;
-            Some((made, state == State::Occupied, part.id == id_own, Reverse(part.id)))
+            Some((made, state == State::Occupied, part.stream.origin == id_own, Reverse(part.stream.origin)))
         });
         parts.chain(own).max().map(|(_, is_occupied, _, Reverse(id))| {
             (if is_occupied { State::Occupied } else { State::Free }, id)
         })
     }
+}
+
+/// A block with all of its voxels that lie in the grid: it may lie half beyond.
+pub(super) fn whole(index: BlockIndex) -> (BlockIndex, Plane) {
+    const LOWEST: Voxel = Voxel::new(-VOXEL_LIMIT, -VOXEL_LIMIT, -VOXEL_LIMIT);
+    const HIGHEST: Voxel = Voxel::new(VOXEL_LIMIT, VOXEL_LIMIT, VOXEL_LIMIT);
+    (index, plane_within(index, LOWEST, HIGHEST))
 }

@@ -2,6 +2,7 @@
 //! IV-C).
 
 mod align;
+mod clearing;
 mod dropped;
 mod dropping;
 mod fused;
@@ -45,6 +46,10 @@ pub struct FusionConfig {
     /// Microseconds; default 1 s.
     #[cfg_attr(feature = "serde", serde(rename = "own_priority_ms", with = "crate::units::Times::<1_000>"))]
     pub own_priority_micros: i64,
+    /// Where a submap of a run has an obstacle, obstacles that older submaps of that run have within so many voxels of it
+    /// go (in blocks of 8³ voxels, each by itself): it is the same wall, put right not quite to where it is seen now. They
+    /// become Unknown, where nobody else says something of them. 0 to 7; 0, the default: nothing goes, newest stamps decide.
+    pub submap_clears_voxels: u8,
     /// Most bytes that the layers of all other streams may hold together, with what they add to the fused
     /// map; beyond that what is far and old is dropped for what is near and new. A block of 8³ voxels takes 0.5 to
     /// 1.5 kB as a rule while it is changed, and 11 kB if each of its voxels changed last in another batch; 0.1 kB,
@@ -65,6 +70,7 @@ impl Default for FusionConfig {
     fn default() -> Self {
         Self {
             own_priority_micros: 1_000_000,
+            submap_clears_voxels: 0,
             layer_bytes_max: 768 << 20,
             own_layer_bytes_max: 256 << 20,
             streams_max: 256,
@@ -134,7 +140,7 @@ impl Fusion {
     /// Without any layer. `own` is this robot's stream of this run: its layer is kept for the others, while
     /// the fused map takes the own part from the mapper, where it is fresher.
     pub fn new(own: Stream, resolution: Resolution, config: FusionConfig) -> Self {
-        let settings = Settings::new(config.own_priority_micros, resolution);
+        let settings = Settings::new(&config, resolution);
         Self {
             config,
             resolution,

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use super::Fusion;
+use super::part::said_of;
 use crate::submap::BlockBox;
-use crate::{BLOCK_SIDE, BlockIndex, Mapper, Plane, RobotId, Sheet, Stamp, Stream, set_bits};
+use crate::{BLOCK_SIDE, BlockIndex, Mapper, Plane, RobotId, Sheet, Stamp, State, Stream, set_bits};
 
 impl Fusion {
     /// Whose observation each known voxel of a block is: the robots in ascending order of their ids, with voxels
@@ -19,29 +20,29 @@ impl Fusion {
         let mut seen = own.and_then(|own| own.block(index)).map_or([0; 8], |block| block.known());
         let mut contested = [0u64; 8];
         let mut others = BTreeMap::<RobotId, Plane>::new();
-        let mut known_by = Vec::new();
         let parts = self.shown.parts(&self.sources, mapper, &BlockBox::new(index));
-        for part in &parts {
-            part.blocks(&targets, |_, states| {
-                known_by.push(part);
-                let (new, plane) = (states.known(), others.entry(part.id).or_default());
-                for z in 0..8 {
-                    contested[z] |= seen[z] & new[z];
-                    plane[z] |= new[z] & !seen[z];
-                    seen[z] |= new[z];
-                }
-            });
+        let said = said_of(&parts, &self.shown.asked(&targets), self.shown.settings.submap_clears_voxels);
+        for said in &said {
+            let new = said.states.masked(&targets[0].1).known();
+            let plane = others.entry(parts[said.part].stream.origin).or_default();
+            for z in 0..8 {
+                contested[z] |= seen[z] & new[z];
+                plane[z] |= new[z] & !seen[z];
+                seen[z] |= new[z];
+            }
         }
         for bit in set_bits(&contested) {
             let (word, mask) = (bit / 64, 1 << (bit % 64));
             others.values_mut().for_each(|plane| plane[word] &= !mask);
-            let (known_by, id_own) = (known_by.iter().copied(), self.sources.own.origin);
+            let known_by = said.iter().filter(|said| said.states.get(bit) != State::Unknown);
+            let known_by = known_by.map(|said| &parts[said.part]);
+            let id_own = self.sources.own.origin;
             if let Some((_, id)) = self.shown.last_observation(known_by, id_own, own, index.voxel(bit)) {
                 others.entry(id).or_default()[word] |= mask;
             }
         }
         // What is nobody else's is the own robot's, with what is its own by a former run.
-        let mut own = targets[0].1;
+        let [(_, mut own)] = targets;
         for (_, plane) in others.iter().filter(|(id, _)| **id != self.sources.own.origin) {
             own = core::array::from_fn(|z| own[z] & !plane[z]);
         }

@@ -3,14 +3,16 @@
 use std::borrow::Cow;
 
 use super::align::{Alignment, Blocks, one_by_one};
+use super::clearing::clear_older;
 use super::received::Received;
 use crate::mapper::OwnBlocks;
 use crate::submap::Spans;
-use crate::{BlockIndex, Layer, Mapper, Plane, RobotId, Sheet, Stamp, State, StateBlock, SubmapId, Voxel};
+use crate::{BlockIndex, Layer, Mapper, Plane, Sheet, Stamp, State, StateBlock, Stream, SubmapId, Voxel};
 
 /// What is known of one robot in one frame: a layer, a submap on a sheet of one, or a submap of the own map.
 pub(super) struct Part<'a> {
-    pub id: RobotId,
+    pub stream: Stream,
+    pub submap: SubmapId,
     pub alignment: Cow<'a, Alignment>,
     pub blocks: PartBlocks<'a>,
     /// When it came here, and how far the clock of its origin is off; `None`: it is of this robot.
@@ -37,6 +39,30 @@ impl PartBlocks<'_> {
             }
         }
     }
+}
+
+/// What a part says of voxels of a target.
+pub(super) struct Said {
+    pub target: usize,
+    /// The number of the part.
+    pub part: usize,
+    pub states: StateBlock,
+}
+
+/// What parts say of voxels of the fused map, target by target. Of a crowd few know something. Where newer submaps clear
+/// older ones, targets are whole blocks.
+pub(super) fn said_of(parts: &[Part<'_>], targets: &[(BlockIndex, Plane)], clears: u8) -> Vec<Said> {
+    let mut all = Vec::new();
+    for (number, part) in parts.iter().enumerate() {
+        part.blocks(targets, |target, states| all.push(Said { target, part: number, states }));
+    }
+    all.sort_by_key(|said| said.target);
+    if clears > 0 {
+        for of_target in all.chunk_by_mut(|a, b| a.target == b.target) {
+            clear_older(of_target, parts, clears);
+        }
+    }
+    all
 }
 
 /// Whether the own map has begun a block anew since what was published there.

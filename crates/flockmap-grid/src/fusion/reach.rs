@@ -36,14 +36,14 @@ impl Fused {
                         self.settings.alignment(stream, false, SubmapId::FIRST, Sheet::FIRST).map(Cow::Owned)
                     }
                 };
-                let (id, blocks) = (stream.origin, PartBlocks::Layer(&source.layer));
-                parts.extend(alignment.map(|alignment| Part { id, alignment, blocks, received }));
+                let (submap, blocks) = (SubmapId::FIRST, PartBlocks::Layer(&source.layer));
+                parts.extend(alignment.map(|alignment| Part { stream, submap, alignment, blocks, received }));
                 continue;
             }
             self.add_submaps(stream, false, &source.spans, targets, |alignment, submap, sheet| {
                 let (layer, spans) = (&source.layer, &source.spans);
                 let blocks = PartBlocks::Submap { layer, spans, submap, sheet };
-                parts.push(Part { id: stream.origin, alignment, blocks, received });
+                parts.push(Part { stream, submap, alignment, blocks, received });
             });
         }
         let own = sources.own;
@@ -55,14 +55,14 @@ impl Fused {
             if let Some(alignment) = alignment.filter(|alignment| alignment.image_of(&blocks).meets(targets))
             {
                 let (alignment, blocks) = (Cow::Owned(alignment), PartBlocks::Own(mapper.blocks_of(submap)));
-                parts.push(Part { id: own.origin, alignment, blocks, received: None });
+                parts.push(Part { stream: own, submap, alignment, blocks, received: None });
             }
         }
         if let Some(source) = sources.get(own).filter(|_| mapper.begun_anew() > 0) {
             self.add_submaps(own, true, &source.spans, targets, |alignment, submap, sheet| {
                 let (layer, spans) = (&source.layer, &source.spans);
                 let blocks = PartBlocks::OwnBefore { layer, spans, submap, sheet, mapper };
-                parts.push(Part { id: own.origin, alignment, blocks, received: None });
+                parts.push(Part { stream: own, submap, alignment, blocks, received: None });
             });
         }
         parts

@@ -4,14 +4,12 @@ use std::collections::BTreeSet;
 
 use rustc_hash::FxHashMap;
 
-use super::fused::Fused;
+use super::fused::{Fused, whole};
 use super::region::region_of;
 use super::settings::Settings;
 use super::sources::Sources;
 use crate::submap::BlockBox;
-use crate::{
-    BlockIndex, Mapper, Plane, RobotId, Stream, SubmapId, VOXEL_LIMIT, Voxel, plane_within, voxel_bit,
-};
+use crate::{BlockIndex, Mapper, Plane, RobotId, Stream, SubmapId, Voxel, voxel_bit};
 
 /// What is worked out so far, and what is left.
 ///
@@ -85,8 +83,8 @@ impl Rebuild {
         }
     }
 
-    /// Works out `blocks_max` blocks at most (0 counts as 1), and fewer where much is contested; goes through as many
-    /// blocks of layers, and what of a cube goes beyond that. Returns how many blocks it has worked out.
+    /// Works out `blocks_max` blocks at most (0 counts as 1), and fewer where much is contested or packed; goes through as
+    /// many blocks of layers, and what of a cube goes beyond that. Returns how many blocks it has worked out.
     pub(super) fn work(
         &mut self,
         shown: &Fused,
@@ -96,6 +94,7 @@ impl Rebuild {
     ) -> usize {
         let (mut left, mut worked_out) = (blocks_max.max(1), 0);
         while left > 0 {
+            let unpacked = sources.unpacked();
             if let Some((number, at)) = self.cubes.pop_if(|_| self.targets.is_empty()) {
                 left = left.saturating_sub(self.find(shown, sources, number, at));
             }
@@ -108,7 +107,8 @@ impl Rebuild {
             }
             let looked = self.fused.refresh(sources, mapper, &now);
             worked_out += now.len();
-            left = left.saturating_sub(now.len() + looked / LOOKS_PER_BLOCK);
+            let unpacked = sources.unpacked().wrapping_sub(unpacked) * BLOCKS_PER_CUBE;
+            left = left.saturating_sub(now.len() + looked / LOOKS_PER_BLOCK + unpacked);
         }
         worked_out
     }
@@ -164,7 +164,7 @@ fn note(
         let bit = voxel_bit(Voxel::new(index.x, index.y, index.z));
         if region[bit / 64] >> (bit % 64) & 1 == 0 {
             region[bit / 64] |= 1 << (bit % 64);
-            targets.push((*index, plane_within(*index, LOWEST, HIGHEST)));
+            targets.push(whole(*index));
         }
     }
 }
@@ -175,9 +175,8 @@ const AT_ONCE: usize = 8;
 /// To look into a slanted layer for a voxel so often takes as long as to work out a block that is not contested.
 const LOOKS_PER_BLOCK: usize = 32;
 
-/// The ends of the grid: a block may lie half beyond.
-const LOWEST: Voxel = Voxel::new(-VOXEL_LIMIT, -VOXEL_LIMIT, -VOXEL_LIMIT);
-const HIGHEST: Voxel = Voxel::new(VOXEL_LIMIT, VOXEL_LIMIT, VOXEL_LIMIT);
+/// To unpack a cube takes as long as to work out so many blocks: up to a millisecond.
+const BLOCKS_PER_CUBE: usize = 32;
 
 /// The cube of cubes.
 const fn parent_of(cube: BlockIndex) -> BlockIndex {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::FusionConfig;
 use super::align::Alignment;
 use crate::{Pose, Resolution, RobotId, Sheet, Stream, SubmapId};
 
@@ -9,6 +10,7 @@ use crate::{Pose, Resolution, RobotId, Sheet, Stream, SubmapId};
 #[derive(Clone, Debug)]
 pub(super) struct Settings {
     pub own_priority_micros: i64,
+    pub submap_clears_voxels: u8,
     resolution: Resolution,
     origins: BTreeMap<RobotId, Origin>,
     /// Of origins for which nothing was set.
@@ -27,11 +29,19 @@ pub(super) struct Origin {
 }
 
 impl Settings {
-    pub(super) fn new(own_priority_micros: i64, resolution: Resolution) -> Self {
+    pub(super) fn new(config: &FusionConfig, resolution: Resolution) -> Self {
+        let FusionConfig { own_priority_micros, submap_clears_voxels, .. } = *config;
         let pose = Pose::IDENTITY;
         let alignment = Alignment::new(&pose, resolution);
         let unset = Origin { pose, alignment, clock_offset_micros: 0, is_muted: false };
-        Self { own_priority_micros, resolution, origins: BTreeMap::new(), unset, submaps: BTreeMap::new() }
+        Self {
+            own_priority_micros,
+            submap_clears_voxels,
+            resolution,
+            origins: BTreeMap::new(),
+            unset,
+            submaps: BTreeMap::new(),
+        }
     }
 
     /// How a submap lies in the map of its stream.

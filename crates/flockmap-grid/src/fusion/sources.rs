@@ -116,6 +116,11 @@ impl Sources {
         self.sources.len() >= max || self.leaving.len() >= max
     }
 
+    /// How often a cube of a layer was unpacked to be read.
+    pub(super) fn unpacked(&self) -> usize {
+        self.unpacked.count()
+    }
+
     pub(super) const fn is_any_leaving(&self) -> bool {
         !self.leaving.is_empty()
     }

@@ -8,7 +8,7 @@ use super::Robot;
 use crate::effort::Work;
 
 /// Blocks of the fused map that one call of [`Robot::handle_timeout`] works out at most while the map is made anew:
-/// each takes 10 to 40 µs, and up to a millisecond where submaps that lie over each other are packed.
+/// each takes 10 to 40 µs.
 pub const REBUILD_BLOCKS: usize = 128;
 
 /// Submaps that are moved again and again, here or by another robot, come into force no sooner after one another: each time

@@ -78,11 +78,22 @@ impl Known {
     }
 }
 
-/// Voxels in one frame, with the states and stamps there.
-type Frame = (Pose, BTreeMap<Voxel, (State, Stamp)>);
+/// What lies in one frame: of a submap of a stream, its pose, and voxels with states and stamps.
+struct Frame {
+    of: (Stream, u16),
+    pose: Pose,
+    voxels: BTreeMap<Voxel, (State, Stamp)>,
+}
+
+/// What a frame says of voxels of the fused map: when that was made, whether Occupied.
+struct Word {
+    of: (Stream, u16),
+    says: BTreeMap<Voxel, (Stamp, bool)>,
+}
 
 /// What lies in one frame of a layer: for each submap and sheet. Without blocks of which the submap is not known.
 fn frames_of(
+    stream: Stream,
     layer: &Layer,
     known: &Known,
     is_own: bool,
@@ -104,18 +115,15 @@ fn frames_of(
         }
         let pose = known.pose(submap, is_own);
         let pose = if pose == Pose::IDENTITY { origin } else { origin.compose(&pose) };
-        let frame = frames.entry((submap, sheet)).or_insert_with(|| (pose, BTreeMap::new()));
-        frame.1.insert(local.voxel(voxel_bit(voxel)), layer.get(voxel).unwrap());
+        let new = || Frame { of: (stream, submap), pose, voxels: BTreeMap::new() };
+        let frame = frames.entry((submap, sheet)).or_insert_with(new);
+        frame.voxels.insert(local.voxel(voxel_bit(voxel)), layer.get(voxel).unwrap());
     }
     frames.into_values().collect()
 }
 
-/// Adds what a frame says of each voxel of the fused map.
-fn say(
-    words: &mut BTreeMap<Voxel, Vec<(Stamp, bool)>>,
-    (pose, voxels): &Frame,
-    made: impl Fn(Stamp) -> Stamp,
-) {
+/// What a frame says of each voxel of the fused map.
+fn say(Frame { of, pose, voxels }: &Frame, made: impl Fn(Stamp) -> Stamp) -> Word {
     let resolution = resolution();
     let mut images = BTreeMap::<Voxel, Stamp>::new();
     for (voxel, (_, stamp)) in voxels.iter().filter(|(_, (state, _))| *state == State::Occupied) {
@@ -132,13 +140,34 @@ fn say(
             (0..125).map(move |n| Voxel::new(v.x + n % 5 - 2, v.y + n / 5 % 5 - 2, v.z + n / 25 - 2))
         })
         .collect();
+    let mut says = BTreeMap::new();
     for target in near {
         assert!(everywhere.contains(target));
         let occupied = images.get(&target).map(|stamp| (made(*stamp), true));
         let source = resolution.voxel_at(back.transform(resolution.centre(target))).unwrap();
         let free = voxels.get(&source).filter(|(state, _)| *state == State::Free);
         let said = occupied.or_else(|| free.map(|(_, stamp)| (made(*stamp), false)));
-        words.entry(target).or_default().extend(said);
+        says.extend(said.map(|said| (target, said)));
+    }
+    Word { of: *of, says }
+}
+
+/// Takes out obstacles that lie within so many voxels, in the same block, of those of a newer submap of the stream.
+fn clear_older(words: &mut [Word], voxels: u8) {
+    let is_near = |a: Voxel, b: Voxel| {
+        let apart = [a.x - b.x, a.y - b.y, a.z - b.z].map(i32::abs);
+        a.block() == b.block() && apart.into_iter().all(|apart| apart <= i32::from(voxels))
+    };
+    let obstacles: Vec<_> = words
+        .iter()
+        .flat_map(|word| {
+            word.says.iter().filter(|(_, (_, is_occupied))| *is_occupied).map(|(at, _)| (word.of, *at))
+        })
+        .collect();
+    for Word { of: (stream, submap), says } in words.iter_mut().filter(|_| voxels > 0) {
+        let newer = obstacles.iter().filter(|((of, other), _)| of == stream && other > submap);
+        let newer: Vec<Voxel> = newer.map(|(_, at)| *at).collect();
+        says.retain(|at, (_, is_occupied)| !*is_occupied || newer.iter().all(|other| !is_near(*at, *other)));
     }
 }
 
@@ -154,28 +183,30 @@ struct Model {
 
 impl Model {
     fn map(&self, mapper: &Mapper, fusion: &Fusion) -> BTreeMap<Voxel, State> {
-        let mut words = BTreeMap::new();
+        let mut words = Vec::new();
         let none = Known::default();
         let priority = fusion.config.own_priority_micros;
         let own = self.known.get(&OWN.origin.0).unwrap_or(&none);
         let mut frames = BTreeMap::<u16, Frame>::new();
         for (index, block) in mapper.blocks() {
             let (submap, _) = mapper.place_of(index).unwrap();
-            let frame = frames
-                .entry(submap.number())
-                .or_insert_with(|| (own.pose(submap.number(), true), BTreeMap::new()));
+            let frame = frames.entry(submap.number()).or_insert_with(|| Frame {
+                of: (OWN, submap.number()),
+                pose: own.pose(submap.number(), true),
+                voxels: BTreeMap::new(),
+            });
             for bit in set_bits(&block.known()) {
                 let stamp = mapper.last_seen(index.voxel(bit)).unwrap();
-                frame.1.insert(index.voxel(bit), (block.get(bit), stamp));
+                frame.voxels.insert(index.voxel(bit), (block.get(bit), stamp));
             }
         }
         let mut frames: Vec<Frame> = frames.into_values().collect();
         if let Some(layer) = fusion.layer(OWN) {
-            frames.extend(frames_of(layer, own, true, Pose::IDENTITY, |local, sheet| {
+            frames.extend(frames_of(OWN, layer, own, true, Pose::IDENTITY, |local, sheet| {
                 mapper.place_of(local).is_some_and(|(_, now)| now > sheet)
             }));
         }
-        frames.iter().for_each(|frame| say(&mut words, frame, |stamp| stamp.plus_micros(priority)));
+        words.extend(frames.iter().map(|frame| say(frame, |stamp| stamp.plus_micros(priority))));
         for (stream, layer) in fusion.layers().filter(|(stream, _)| *stream != OWN) {
             let came_by = |stamp: Stamp| {
                 let as_new = self.arrivals.iter().filter(|(of, newest, _)| *of == stream && *newest >= stamp);
@@ -184,11 +215,17 @@ impl Model {
             };
             let known = self.known.get(&stream.origin.0).unwrap_or(&none);
             let origin = self.alignments.get(&stream.origin.0).copied().unwrap_or_default();
-            let frames = frames_of(layer, known, false, origin, |_, _| true);
-            frames.iter().for_each(|frame| say(&mut words, frame, came_by));
+            let frames = frames_of(stream, layer, known, false, origin, |_, _| true);
+            words.extend(frames.iter().map(|frame| say(frame, came_by)));
         }
-        let last = words.into_iter().filter_map(|(voxel, words)| Some((voxel, words.into_iter().max()?)));
-        last.map(|(voxel, (_, is_occupied))| (voxel, if is_occupied { State::Occupied } else { State::Free }))
+        clear_older(&mut words, fusion.config.submap_clears_voxels);
+        let mut last = BTreeMap::<Voxel, (Stamp, bool)>::new();
+        for (voxel, said) in words.into_iter().flat_map(|word| word.says) {
+            let newest = last.entry(voxel).or_insert(said);
+            *newest = said.max(*newest);
+        }
+        last.into_iter()
+            .map(|(voxel, (_, is_occupied))| (voxel, if is_occupied { State::Occupied } else { State::Free }))
             .collect()
     }
 }
@@ -274,12 +311,14 @@ proptest! {
     #[test]
     fn submaps_are_fused_as_the_rules_say(
         steps in prop::collection::vec(step(), 1..50), blocks_max in prop_oneof![3 => Just(1_000), 2 => 4..60usize],
+        clears in prop_oneof![2 => Just(0), 1 => 1..9u8],
     ) {
         let config = MapperConfig {
             memory_bytes_max: blocks_max * MAP_BLOCK_BYTES, ..MapperConfig::preset(Preset::OctoMap, resolution(), 12.0)
         };
         let (mut mapper, mut now, mut model) = (Mapper::new(config).unwrap(), Stamp(0), Model::default());
-        let new = || Fusion::new(OWN, resolution(), FusionConfig::default());
+        let config = FusionConfig { submap_clears_voxels: clears, ..FusionConfig::default() };
+        let new = || Fusion::new(OWN, resolution(), config.clone());
         let (mut sliced, mut at_once) = (new(), new());
         for step in &steps {
             now = now.plus_micros(100_000);
