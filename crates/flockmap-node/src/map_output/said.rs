@@ -1,10 +1,11 @@
 //! What a robot says of itself and of the others, beside its map.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use flockmap::sync::PeerInfo;
-use flockmap::{KnownPose, Robot, Stamp};
-use flockmap_feed::{Link, RobotPose};
+use flockmap::{KnownPose, Robot, Stamp, Stream};
+use flockmap_feed::{Link, RobotPose, RunSubmaps};
 
 /// Where robots are, as far as this one knows. O(streams).
 pub fn poses_of(robot: &Robot, now: Stamp) -> Vec<RobotPose> {
@@ -38,6 +39,19 @@ pub fn links_of(robot: &Robot, now: Stamp) -> Vec<Link> {
         }
     };
     session.peers().map(link).collect()
+}
+
+/// Which submaps each run has, as far as this robot knows, and how they lie in its fused map as that is now. O(submaps).
+pub fn submaps_of(robot: &Robot) -> Vec<RunSubmaps> {
+    let (fusion, own) = (robot.fusion(), robot.own_stream());
+    let streams: BTreeSet<Stream> = fusion.layers().map(|(stream, _)| stream).chain([own]).collect();
+    let run = |stream| {
+        // What has just begun here has not been published yet.
+        let begun = fusion.submaps(stream).chain((stream == own).then(|| robot.submap()));
+        let newest = begun.max().unwrap_or_default();
+        RunSubmaps { stream, newest, poses: fusion.shown_submaps(stream), left_out: 0 }
+    };
+    RunSubmaps::within_limits(streams.into_iter().map(run).collect())
 }
 
 fn since(now: Stamp, then: Stamp) -> Duration {

@@ -4,7 +4,7 @@ import { css, OLDER, ramp, RAMP } from "./colours";
 import { byId, icon, make, write } from "./dom";
 import { count, metres, rate, seconds, share, UNKNOWN } from "./format";
 import type { MapState } from "./protocol";
-import { SILENT, type RobotState, type Swarm } from "./swarm";
+import { newestOf, SILENT, type RobotState, type Swarm } from "./swarm";
 import type { Colouring } from "./voxels";
 
 interface Row {
@@ -69,6 +69,7 @@ export class Panel {
     write(byId("f-age"), age === null ? UNKNOWN : age < 0.95 ? "now" : `${seconds(age)} ago`);
     write(byId("f-out"), rate(robot?.rateOut));
     write(byId("f-in"), rate(robot?.rateIn));
+    write(byId("f-submaps"), this.submaps(robot));
     const links = [...(robot?.links.values() ?? [])];
     const missing = links.filter((link) => link.missing > 0).map((link) => `${count(link.missing)} of ${this.nameOf(link.robot)}`);
     write(byId("f-missing"), links.length === 0 ? UNKNOWN : missing.length === 0 ? "no package" : `packages: ${missing.join(", ")}`);
@@ -99,6 +100,17 @@ export class Panel {
       const trip = link.roundTrip === null ? "" : `, round trip ${(link.roundTrip * 1e3).toFixed(0)} ms`;
       row.title = link.hears ? `heard ${seconds(link.heardAge)}${link.heardAge < 0.95 ? "" : " ago"}${trip}` : "not heard";
     });
+  }
+
+  /** How many submaps the newest run of each robot has, and how far they were moved last. */
+  private submaps(robot: RobotState | undefined): string {
+    const ids = [...new Set(robot?.runs.map((run) => run.robot))];
+    const words = ids.map((id) => {
+      const count = (newestOf(robot!.runs, id)?.newest ?? 0) + 1;
+      const moved = this.swarm.get(id)?.moved ?? null;
+      return `${count} of ${this.nameOf(id)}${moved === null ? "" : `, moved ${moved.toFixed(2)} m`}`;
+    });
+    return words.join("; ") || UNKNOWN;
   }
 
   nameOf(id: number): string {

@@ -266,8 +266,8 @@ mod tests {
     }
 
     fn given(map: MapView) -> Option<Arc<Given>> {
-        let (poses, counts, links, scan, playback) = Default::default();
-        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts, links, scan, playback }))
+        let (poses, counts, links, scan, submaps, playback) = Default::default();
+        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts, links, scan, submaps, playback }))
     }
 
     /// Time stands still but for what a test waits for.

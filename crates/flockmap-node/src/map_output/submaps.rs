@@ -1,0 +1,59 @@
+//! When readers are told how submaps lie.
+
+use std::time::Instant;
+
+use flockmap::Robot;
+use flockmap_feed::RunSubmaps;
+use flockmap_view::serve::Numbered;
+
+use super::said::submaps_of;
+
+/// It is looked again after so many times what a look took: a tenth of the driver's time at most.
+const LOOK_REST: u32 = 9;
+
+/// How submaps lie, as it was said last.
+pub(super) struct Submaps {
+    said: Numbered<Vec<RunSubmaps>>,
+    not_before: Instant,
+    /// Something may have changed since it was looked.
+    is_unseen: bool,
+}
+
+impl Submaps {
+    pub(super) fn new(now: Instant) -> Self {
+        Self { said: Numbered::default(), not_before: now, is_unseen: false }
+    }
+
+    /// Looks how they lie now, if that may be given out; with the map, so that both are of the same moment. O(submaps).
+    pub(super) fn look(&mut self, robot: &Robot, may_give: bool) {
+        let began = Instant::now();
+        self.is_unseen = !may_give || began < self.not_before;
+        if self.is_unseen {
+            return;
+        }
+        let runs = submaps_of(robot);
+        // At first there is something to say also where there are no runs.
+        if self.said.number() == 0 || *self.said.value() != runs {
+            self.said.replace(runs);
+        }
+        self.not_before = Instant::now() + began.elapsed() * LOOK_REST;
+    }
+
+    /// Nobody wants to know.
+    pub(super) const fn rest(&mut self) {
+        self.is_unseen = false;
+    }
+
+    /// When to look again, if something may have changed.
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        self.is_unseen.then_some(self.not_before)
+    }
+
+    pub(super) const fn number(&self) -> u64 {
+        self.said.number()
+    }
+
+    pub(super) fn said(&self) -> Numbered<Vec<RunSubmaps>> {
+        self.said.clone()
+    }
+}
