@@ -89,9 +89,10 @@ proptest! {
     ) {
         let body = &Message::Submaps(runs).emit()[5..];
         let mut body = body[..cut.index(body.len() + 1)].to_vec();
-        for (at, flip) in flips.into_iter().filter(|_| !body.is_empty()).collect::<Vec<_>>() {
-            let at = at.index(body.len());
-            body[at] ^= flip;
+        for (at, flip) in flips {
+            if let Some(count) = std::num::NonZeroUsize::new(body.len()) {
+                body[at.index(count.get())] ^= flip;
+            }
         }
         // What is taken is what can be told.
         if let Ok(Message::Submaps(runs)) = Message::parse(10, &body) {

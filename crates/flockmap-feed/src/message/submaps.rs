@@ -138,12 +138,13 @@ fn submap(
 ) -> Result<SubmapId, FeedError> {
     let number = fields.u16(name)?;
     let id = SubmapId::new(number).filter(|id| newest.is_none_or(|newest| *id <= newest));
-    id.ok_or(field("submaps", name, number.into(), "4,095 at most, and no newer one than the newest"))
+    let expected = "4,095 at most, and no newer one than the newest";
+    id.ok_or_else(|| field("submaps", name, number.into(), expected))
 }
 
 fn pose(fields: &mut Fields<'_>) -> Result<Pose, FeedError> {
     let (translation, rotation) = (fields.finite("translation")?, fields.finite::<4>("rotation")?);
     let square: f64 = rotation.iter().map(|number| number * number).sum();
     let pose = Pose::new(translation, rotation).filter(|_| (square - 1.0).abs() <= UNIT_WITHIN);
-    pose.ok_or(field("submaps", "rotation", square.to_bits(), "a quaternion of length 1"))
+    pose.ok_or_else(|| field("submaps", "rotation", square.to_bits(), "a quaternion of length 1"))
 }

@@ -57,3 +57,33 @@ impl Submaps {
         self.said.clone()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap::{Resolution, RobotConfig, RobotId, Stamp};
+
+    #[test]
+    fn submaps_are_said_at_first_and_when_they_change_and_what_may_not_be_given_yet_is_looked_at_later() {
+        let resolution = Resolution::from_metres(0.1).unwrap();
+        let mut robot = Robot::new(RobotConfig::new(RobotId(1), resolution, 7.0), Stamp(0)).unwrap();
+        let mut submaps = Submaps::new(Instant::now());
+        // A look is followed by a rest.
+        let look = |submaps: &mut Submaps, robot: &Robot| {
+            std::thread::sleep(submaps.not_before.saturating_duration_since(Instant::now()));
+            submaps.look(robot, true);
+            assert_eq!(submaps.poll_timeout(), None);
+            (submaps.number(), submaps.said().value().len())
+        };
+        assert_eq!(look(&mut submaps, &robot), (1, 1));
+        assert_eq!(look(&mut submaps, &robot), (1, 1));
+        robot.begin_submap(Stamp(1)).unwrap();
+        submaps.look(&robot, false);
+        assert_eq!(submaps.number(), 1);
+        assert!(submaps.poll_timeout().is_some());
+        assert_eq!(look(&mut submaps, &robot), (2, 1));
+        submaps.look(&robot, false);
+        submaps.rest();
+        assert_eq!(submaps.poll_timeout(), None, "nobody wants to know");
+    }
+}
