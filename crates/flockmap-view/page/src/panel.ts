@@ -4,8 +4,11 @@ import { css, OLDER, ramp, RAMP } from "./colours";
 import { byId, icon, make, write } from "./dom";
 import { count, metres, rate, seconds, share, UNKNOWN } from "./format";
 import type { MapState } from "./protocol";
-import { newestOf, SILENT, type RobotState, type Swarm } from "./swarm";
+import { SILENT, type RobotState, type Swarm } from "./swarm";
 import type { Colouring } from "./voxels";
+
+/** Robots whose submaps are in words. */
+const SUBMAPS_OF = 6;
 
 interface Row {
   row: HTMLElement;
@@ -102,15 +105,17 @@ export class Panel {
     });
   }
 
-  /** How many submaps the newest run of each robot has, and how far they were moved last. */
+  /** How many submaps the newest run of each robot has, if there are several, and how far they were moved last. */
   private submaps(robot: RobotState | undefined): string {
-    const ids = [...new Set(robot?.runs.map((run) => run.robot))];
-    const words = ids.map((id) => {
-      const count = (newestOf(robot!.runs, id)?.newest ?? 0) + 1;
-      const moved = this.swarm.get(id)?.moved ?? null;
-      return `${count} of ${this.nameOf(id)}${moved === null ? "" : `, moved ${moved.toFixed(2)} m`}`;
+    if (!robot || robot.runs.length === 0) return UNKNOWN;
+    const newest = new Map(robot.runs.map((run) => [run.robot, run]));
+    const several = [...newest.values()].filter((run) => run.newest > 0);
+    const words = several.slice(0, SUBMAPS_OF).map((run) => {
+      const moved = this.swarm.get(run.robot)?.moved ?? null;
+      return `${run.newest + 1} of ${this.nameOf(run.robot)}${moved === null ? "" : `, moved ${moved.toFixed(2)} m`}`;
     });
-    return words.join("; ") || UNKNOWN;
+    if (several.length > SUBMAPS_OF) words.push(`and of ${several.length - SUBMAPS_OF} more`);
+    return words.join("; ") || "one of each robot";
   }
 
   nameOf(id: number): string {

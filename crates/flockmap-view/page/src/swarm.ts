@@ -135,6 +135,6 @@ export class Swarm {
 }
 
 /** The run of a robot that began last: runs ascend. */
-export function newestOf(runs: Run[], robot: number): Run | undefined {
+function newestOf(runs: Run[], robot: number): Run | undefined {
   return runs.filter((run) => run.robot === robot).at(-1);
 }
