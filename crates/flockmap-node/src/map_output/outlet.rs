@@ -228,12 +228,12 @@ impl Outlet {
         let is_count_due = instant >= self.counts_due;
         let may_give = at_once || is_count_due || instant >= self.due;
         if self.tally.wants_submaps() {
-            self.submaps.look(robot, may_give);
+            self.submaps.look(robot, may_give, at_once);
         } else {
             self.submaps.rest();
         }
         let is_due = at_once || is_count_due || (may_give && self.is_news());
-        if !is_due {
+        if !is_due || self.submaps.unseen_until().is_some() {
             return;
         }
         let known = robot.poses();
@@ -264,9 +264,10 @@ impl Outlet {
     /// When to offer again.
     pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let is_wanted = self.give.is_some() && self.readers() > 0;
-        let news = self.is_news().then_some(self.due);
-        let look = self.submaps.poll_timeout().map(|at| at.max(self.due));
-        let offer = is_wanted.then(|| news.into_iter().chain(look).fold(self.counts_due, Instant::min));
+        let unseen = self.submaps.unseen_until();
+        let may_be_news = unseen.is_some() || self.is_news();
+        let due = if may_be_news { self.due.min(self.counts_due) } else { self.counts_due };
+        let offer = is_wanted.then(|| unseen.map_or(due, |until| due.max(until)));
         Some(offer.unwrap_or(self.series_due).min(self.series_due))
     }
 

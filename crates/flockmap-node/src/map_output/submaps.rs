@@ -24,10 +24,10 @@ impl Submaps {
         Self { said: Numbered::default(), not_before: now, is_unseen: false }
     }
 
-    /// Looks how they lie now, if that may be given out; with the map, so that both are of the same moment. O(submaps).
-    pub(super) fn look(&mut self, robot: &Robot, may_give: bool) {
+    /// Looks how they lie now, if something may be given out and it is not too soon, or `at_once`. O(submaps).
+    pub(super) fn look(&mut self, robot: &Robot, may_give: bool, at_once: bool) {
         let began = Instant::now();
-        self.is_unseen = !may_give || began < self.not_before;
+        self.is_unseen = !at_once && (!may_give || began < self.not_before);
         if self.is_unseen {
             return;
         }
@@ -44,8 +44,8 @@ impl Submaps {
         self.is_unseen = false;
     }
 
-    /// When to look again, if something may have changed.
-    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+    /// When to look again, where they may have changed since; until then no map is given out, whose submaps they would not be.
+    pub(super) fn unseen_until(&self) -> Option<Instant> {
         self.is_unseen.then_some(self.not_before)
     }
 
@@ -71,19 +71,22 @@ mod tests {
         // A look is followed by a rest.
         let look = |submaps: &mut Submaps, robot: &Robot| {
             std::thread::sleep(submaps.not_before.saturating_duration_since(Instant::now()));
-            submaps.look(robot, true);
-            assert_eq!(submaps.poll_timeout(), None);
+            submaps.look(robot, true, false);
+            assert_eq!(submaps.unseen_until(), None);
             (submaps.number(), submaps.said().value().len())
         };
         assert_eq!(look(&mut submaps, &robot), (1, 1));
         assert_eq!(look(&mut submaps, &robot), (1, 1));
         robot.begin_submap(Stamp(1)).unwrap();
-        submaps.look(&robot, false);
+        submaps.look(&robot, false, false);
         assert_eq!(submaps.number(), 1);
-        assert!(submaps.poll_timeout().is_some());
+        assert!(submaps.unseen_until().is_some());
         assert_eq!(look(&mut submaps, &robot), (2, 1));
-        submaps.look(&robot, false);
+        submaps.look(&robot, false, false);
         submaps.rest();
-        assert_eq!(submaps.poll_timeout(), None, "nobody wants to know");
+        assert_eq!(submaps.unseen_until(), None, "nobody wants to know");
+        robot.begin_submap(Stamp(2)).unwrap();
+        submaps.look(&robot, false, true);
+        assert_eq!((submaps.number(), submaps.unseen_until()), (3, None), "at the end it is looked at once");
     }
 }

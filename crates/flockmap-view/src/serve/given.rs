@@ -46,17 +46,22 @@ pub struct Given {
 }
 
 impl Given {
+    /// A frame of how submaps lie, if that is new. It goes before the blocks of this map: a reader that has all of them has
+    /// a map that lies so.
+    pub(crate) fn before_the_map(&self, hello: &ReaderHello, sent: &mut Sent) -> Vec<u8> {
+        let is_new = sent.submaps != self.submaps.number && hello.submaps;
+        sent.submaps = self.submaps.number;
+        if is_new { Message::Submaps(self.submaps.value.to_vec()).emit() } else { Vec::new() }
+    }
+
     /// Frames of what is new beside the map, for a reader that has been sent things with these numbers.
     pub(crate) fn beside_the_map(&self, hello: &ReaderHello, sent: &mut Sent) -> Vec<u8> {
-        let Self { poses, counts, links, scan, submaps, playback, .. } = self;
-        let numbers =
-            [playback.number, poses.number, counts.number, links.number, scan.number, submaps.number];
-        let is_new: [bool; 6] = core::array::from_fn(|of| numbers[of] != sent[of]);
-        *sent = numbers;
+        let Self { poses, counts, links, scan, playback, .. } = self;
+        let numbers = [playback.number, poses.number, counts.number, links.number, scan.number];
+        let is_new: [bool; 5] = core::array::from_fn(|of| numbers[of] != sent.beside[of]);
+        sent.beside = numbers;
         let messages = [
             playback.value.filter(|_| is_new[0]).map(Message::Playback),
-            // Before poses, which are by them.
-            (is_new[5] && hello.submaps).then(|| Message::Submaps(submaps.value.to_vec())),
             is_new[1].then(|| Message::Poses(poses.value.to_vec())),
             is_new[2].then(|| Message::Counters((*counts.value).clone())),
             (is_new[3] && hello.links).then(|| Message::Links(links.value.to_vec())),
@@ -67,7 +72,11 @@ impl Given {
 }
 
 /// The numbers of what a reader was sent last.
-pub(crate) type Sent = [u64; 6];
+#[derive(Default)]
+pub(crate) struct Sent {
+    submaps: u64,
+    beside: [u64; 5],
+}
 
 /// Something that is sent again when its number is another. That of the default is 0: it is not sent.
 #[derive(Clone, Debug, Default)]
