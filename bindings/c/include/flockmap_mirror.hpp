@@ -12,6 +12,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <iterator>
 #include <optional>
 #include <set>
 #include <stdexcept>
@@ -159,6 +160,29 @@ struct RobotPose {
     std::uint64_t age_us = 0;
 };
 
+// How a submap lies in the map: T_own_submap, as docs/map-output.md says it, kind 10.
+struct SubmapPose {
+    std::uint16_t submap = 0;
+    std::array<double, 3> position_m{};
+    std::array<double, 4> quaternion_xyzw{};
+};
+
+// The submaps of one run of a robot: 0 to `newest`.
+struct RunSubmaps {
+    std::uint16_t robot = 0;
+    std::uint64_t epoch = 0;
+    std::uint16_t newest = 0;
+    std::uint16_t left_out = 0;     // poses of older submaps for which there was no room
+    std::vector<SubmapPose> poses;  // ascending; a submap that is not there lies as the one before it
+
+    // Null if it has not begun, or its pose was left out.
+    const SubmapPose* pose(std::uint16_t submap) const {
+        const auto is_after = [](std::uint16_t number, const SubmapPose& pose) { return number < pose.submap; };
+        const auto after = std::upper_bound(poses.begin(), poses.end(), submap, is_after);
+        return submap > newest || after == poses.begin() ? nullptr : &*std::prev(after);
+    }
+};
+
 // Who gives the map.
 struct NodeInfo {
     std::uint16_t robot = 0;
@@ -170,6 +194,7 @@ struct NodeInfo {
 
 struct Options {
     bool wants_origins = false;
+    bool wants_submaps = false;
     std::size_t blocks_max = std::size_t{1} << 20;   // of a map; a new one may stand beside the old one for a while
     std::size_t origins_max = std::size_t{1} << 22;  // of all blocks of a map
 };
@@ -184,7 +209,8 @@ public:
         has_hello_ = has_ended_ = waits_for_anew_ = has_blocks_ = false;
         std::vector<std::uint8_t> bytes;
         put(bytes, 31, 4);
-        bytes.insert(bytes.end(), {1, 'F', 'L', 'K', 'M', 1, static_cast<std::uint8_t>(options_.wants_origins ? 1 : 0)});
+        const int flags = (options_.wants_origins ? 1 : 0) + (options_.wants_submaps ? 16 : 0);
+        bytes.insert(bytes.end(), {1, 'F', 'L', 'K', 'M', 1, static_cast<std::uint8_t>(flags)});
         put(bytes, feed_, 8);
         put(bytes, began_, 8);
         put(bytes, upto_, 8);
@@ -217,6 +243,8 @@ public:
     const std::optional<NodeInfo>& node() const noexcept { return node_; }  // empty before the first hello
     const std::vector<RobotPose>& robots() const noexcept { return robots_; }
     const std::vector<std::pair<std::string, std::uint64_t>>& counters() const noexcept { return counters_; }
+    // Ascending by robot and epoch, as said last; empty unless they were asked for.
+    const std::vector<RunSubmaps>& submaps() const noexcept { return submaps_; }
     // Why the node ended this connection; empty if it did not.
     const std::optional<std::string>& end() const noexcept { return end_; }
     bool has_ended() const noexcept { return has_ended_; }
@@ -224,6 +252,7 @@ public:
 private:
     static constexpr std::size_t kFrameMax = 1'048'576;
     static constexpr std::int32_t kBlockIndexMax = 33'554'432;
+    static constexpr std::size_t kRunsMax = 1'024, kSubmapPosesMax = 8'192, kSubmapsMax = 4'096;
 
     // Reads a body from its beginning to its end.
     struct Reader {
@@ -332,6 +361,7 @@ private:
                 end_ = body.text(body.left);
                 has_ended_ = true;
                 return;
+            case 10: return submaps(body);
             default: return;  // of a later version
         }
     }
@@ -536,6 +566,58 @@ private:
         counters_ = std::move(counters);
     }
 
+    void submaps(Reader body) {
+        const auto count = static_cast<std::size_t>(body.number(2));
+        if (count > kRunsMax) {
+            throw FeedError("submaps of " + std::to_string(count) + " runs, expected 1,024 at most");
+        }
+        std::vector<RunSubmaps> runs;
+        std::size_t room = kSubmapPosesMax;
+        for (std::size_t i = 0; i < count; ++i) {
+            RunSubmaps run;
+            run.robot = static_cast<std::uint16_t>(body.number(2));
+            run.epoch = body.number(8);
+            run.newest = static_cast<std::uint16_t>(body.number(2));
+            run.left_out = static_cast<std::uint16_t>(body.number(2));
+            const auto poses = static_cast<std::size_t>(body.number(2));
+            if (run.newest >= kSubmapsMax || poses > room) {
+                throw FeedError("more than 4,096 submaps of a run, or more than 8,192 poses of submaps");
+            }
+            if (!runs.empty() && std::pair(runs.back().robot, runs.back().epoch) >= std::pair(run.robot, run.epoch)) {
+                throw FeedError("runs whose submaps are told do not ascend");
+            }
+            room -= poses;
+            for (std::size_t k = 0; k < poses; ++k) {
+                const SubmapPose pose = submap_pose(body);
+                if (pose.submap > run.newest || (!run.poses.empty() && pose.submap <= run.poses.back().submap)) {
+                    throw FeedError("submaps of a run do not ascend to its newest one");
+                }
+                run.poses.push_back(pose);
+            }
+            runs.push_back(std::move(run));
+        }
+        submaps_ = std::move(runs);
+    }
+
+    static SubmapPose submap_pose(Reader& body) {
+        SubmapPose pose;
+        pose.submap = static_cast<std::uint16_t>(body.number(2));
+        bool is_finite = true;
+        for (auto& metres : pose.position_m) {
+            metres = body.f64();
+            is_finite = is_finite && std::isfinite(metres);
+        }
+        double square = 0.0;
+        for (auto& part : pose.quaternion_xyzw) {
+            part = body.f64();
+            square += part * part;
+        }
+        if (!is_finite || !(std::abs(square - 1.0) <= 1e-3)) {
+            throw FeedError("the pose of a submap is none");
+        }
+        return pose;
+    }
+
     Options options_;
     std::vector<std::uint8_t> buffer_;
     bool has_hello_ = false, has_ended_ = false, waits_for_anew_ = false, has_blocks_ = false;
@@ -546,6 +628,7 @@ private:
     std::optional<NodeInfo> node_;
     std::vector<RobotPose> robots_;
     std::vector<std::pair<std::string, std::uint64_t>> counters_;
+    std::vector<RunSubmaps> submaps_;
     std::optional<std::string> end_;
 };
 

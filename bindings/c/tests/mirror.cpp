@@ -64,6 +64,31 @@ Bytes anew(std::uint64_t version) {
     return frame(3, body);
 }
 
+// A submaps frame of runs of these robots, each with these submaps, one metre apart.
+Bytes submaps(const std::vector<std::uint16_t>& robots, const std::vector<std::uint16_t>& numbers, double scale = 1.0) {
+    const auto put_f64 = [](Bytes& body, double value) {
+        std::uint64_t bits;
+        std::memcpy(&bits, &value, sizeof bits);
+        put(body, bits, 8);
+    };
+    Bytes body;
+    put(body, robots.size(), 2);
+    for (const auto robot : robots) {
+        put(body, robot, 2);
+        put(body, 5, 8);
+        put(body, 9, 2);
+        put(body, 0, 2);
+        put(body, numbers.size(), 2);
+        for (const auto number : numbers) {
+            put(body, number, 2);
+            for (const double value : {double(number), 0.0, 0.0, 0.0, 0.0, 0.0, scale}) {
+                put_f64(body, value);
+            }
+        }
+    }
+    return frame(10, body);
+}
+
 // A blocks frame with a block of one occupied voxel at each x.
 Bytes blocks(std::uint64_t upto, std::uint64_t newest, const std::vector<std::int32_t>& xs, bool is_emptied = false) {
     Bytes body;
@@ -97,7 +122,7 @@ bool refuses(Mirror& mirror, const Bytes& bytes) {
 
 TEST(the_example_of_the_page_is_read_however_it_is_cut) {
     const auto [reader, node] = example();
-    CHECK(reader.size() == 35 && node.size() == 35 + 13 + 174 + 82 + 35 + 58 + 89 + 34 + 18);
+    CHECK(reader.size() == 35 && node.size() == 35 + 13 + 174 + 82 + 35 + 58 + 89 + 34 + 139 + 18);
     for (std::size_t step = 1; step <= node.size(); step += step < 64 ? 1 : 61) {
         Mirror mirror;
         CHECK(mirror.begin() == reader);
@@ -119,8 +144,21 @@ TEST(the_example_of_the_page_is_read_however_it_is_cut) {
         CHECK(mirror.robots().size() == 1 && mirror.robots()[0].epoch == 3 && mirror.robots()[0].age_us == 1'500'000);
         CHECK((mirror.robots()[0].position_m == std::array<double, 3>{1.0, -2.0, 0.5}) && mirror.robots()[0].is_turned);
         CHECK(mirror.counters().size() == 1 && mirror.counters()[0].first == "node_frames" && mirror.counters()[0].second == 300);
+        CHECK(mirror.submaps().size() == 1 && mirror.submaps()[0].epoch == 3 && mirror.submaps()[0].newest == 4);
+        const auto& run = mirror.submaps()[0];
+        CHECK(run.pose(0)->position_m[1] == 0.0 && run.pose(1) == run.pose(0) && run.pose(2)->position_m[1] == 0.5);
+        CHECK(run.pose(4)->position_m[2] == -0.25 && run.pose(4)->quaternion_xyzw[3] == 1.0 && run.pose(5) == nullptr);
         CHECK(mirror.end() == "the node ends");
     }
+}
+
+TEST(submaps_are_asked_for_only_if_they_are_wanted) {
+    Options options;
+    CHECK(Mirror(options).begin()[10] == 0);
+    options.wants_submaps = true;
+    CHECK(Mirror(options).begin()[10] == 16);
+    options.wants_origins = true;
+    CHECK(Mirror(options).begin()[10] == 17);
 }
 
 TEST(a_reader_that_comes_back_says_what_it_has_and_goes_on) {
@@ -195,6 +233,14 @@ TEST(what_is_no_feed_is_refused_and_the_map_stays) {
         {"a truncated counter", frame(5, {0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 5, 'a'})},
         {"a name that is no text", frame(5, {0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1, 0xff, 0, 0, 0, 0, 0, 0, 0, 0})},
         {"poses that are not there", frame(4, {0xff, 0xff})},
+        {"submaps of runs that are not there", frame(10, {0xff, 0x03})},
+        {"submaps of too many runs", frame(10, Bytes(100'000, 0xff))},
+        {"a run twice", submaps({1, 1}, {0})},
+        {"a submap twice", submaps({1}, {0, 3, 3})},
+        {"a submap that has not begun", submaps({1}, {0, 10})},
+        {"a rotation that would scale", submaps({1}, {0}, 2.0)},
+        {"a rotation that is no number", submaps({1}, {0}, std::nan(""))},
+        {"a place that is no number", [] { auto s = submaps({1}, {0}); s[23 + 2 + 7] = 0x7f; s[23 + 2 + 6] = 0xf0; return s; }()},
     };
     for (const auto& [name, bytes] : wrong) {
         Mirror mirror;

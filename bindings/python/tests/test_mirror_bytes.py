@@ -45,6 +45,15 @@ def blocks(upto, newest, *given) -> bytes:
     return frame(2, body)
 
 
+def submaps(*runs, poses=((0, 0.0, 1.0),)) -> bytes:
+    """Runs of these robots, whose newest submap is 9; of each pose the submap, x, and the w of its quaternion."""
+    body = struct.pack("<H", len(runs))
+    for robot in runs:
+        body += struct.pack("<HQHHH", robot, 5, 9, 0, len(poses))
+        body += b"".join(struct.pack("<H7d", number, x, 0, 0, 0, 0, 0, w) for number, x, w in poses)
+    return frame(10, body)
+
+
 @pytest.mark.parametrize("step", [1, 7, 1 << 20])
 def test_the_example_of_the_page(example, step):
     state = MirrorState()
@@ -63,7 +72,26 @@ def test_the_example_of_the_page(example, step):
     pose = state.poses[7]
     assert (pose.epoch, pose.position, pose.quaternion, pose.age) == (3, (1.0, -2.0, 0.5), (0.0, 0.0, 0.0, 1.0), 1.5)
     assert state.counters == {"node_frames": 300}
+    (run,) = state.submaps
+    assert (run.robot, run.epoch, run.newest, run.left_out) == (7, 3, 4, 0)
+    expected = np.eye(4)
+    assert (run.pose(0) == expected).all() and (run.pose(1) == expected).all() and run.pose(5) is None
+    expected[:3, 3] = 0, 0.5, -0.25
+    assert (run.pose(2) == expected).all() and (run.pose(4) == expected).all()
     assert state.end == "the node ends"
+
+
+def test_submaps_are_asked_for_only_if_they_are_wanted():
+    assert MirrorState().connect()[10] == 0
+    state = MirrorState(submaps=True)
+    assert state.connect()[10] == 16
+    # A quarter turn about z; and those older ones of which nothing is told.
+    half = 0.5**0.5
+    body = struct.pack("<H HQHHH H7d", 1, 2, 5, 9, 3, 1, 4, 1, 2, 3, 0, 0, half, half)
+    state.push(hello() + frame(10, body))
+    (run,) = state.submaps
+    assert np.allclose(run.pose(9), [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+    assert run.pose(3) is None and run.left_out == 3
 
 
 def test_a_mirror_that_comes_back_says_what_it_has_and_goes_on():
@@ -145,6 +173,16 @@ def test_origins_are_read_over():
         (hello() + begin() + frame(2, struct.pack("<QQqBI", 1, 1, 0, 1, 2**32 - 1)), "4294967295 blocks"),
         (hello() + frame(4, struct.pack("<H", 2)), "poses: the frame ends"),
         (hello() + frame(5, struct.pack("<qH", 0, 1) + b"\5ab"), "counters: the frame ends"),
+        (hello() + frame(10, struct.pack("<H", 2)), "submaps: the frame ends"),
+        (hello() + frame(10, struct.pack("<H", 1_025)), "1025 runs"),
+        (hello() + frame(10, struct.pack("<HHQHHH", 1, 1, 5, 9, 0, 8_193)), "more than there may be"),
+        (hello() + frame(10, struct.pack("<HHQHHH", 1, 1, 5, 4_096, 0, 0)), "more than there may be"),
+        (hello() + submaps(1, 1), "runs that do not ascend"),
+        (hello() + submaps(1, poses=((0, 0.0, 1.0), (0, 0.0, 1.0))), "numbers that do not ascend to 9"),
+        (hello() + submaps(1, poses=((10, 0.0, 1.0),)), "numbers that do not ascend to 9"),
+        (hello() + submaps(1, poses=((0, 0.0, 2.0),)), "a pose that is none"),
+        (hello() + submaps(1, poses=((0, 0.0, float("nan")),)), "a pose that is none"),
+        (hello() + submaps(1, poses=((0, float("inf"), 1.0),)), "a pose that is none"),
         (frame(6, b"over") + hello(), "behind the end"),
     ],
 )

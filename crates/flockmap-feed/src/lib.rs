@@ -23,7 +23,7 @@ pub use error::FeedError;
 pub use feed::{Feed, Next};
 pub use message::{
     Block, Blocks, FEED_VERSION, FRAME_BYTES_MAX, HELLO_BYTES_MAX, Have, Link, Message, NodeCounts,
-    NodeHello, Playback, ReaderHello, RobotPose, SeenScan,
+    NodeHello, Playback, ReaderHello, RobotPose, RunSubmaps, SeenScan,
 };
 pub use mirror::{Event, Mirror, MirrorOptions};
 pub use splitter::Splitter;

@@ -4,7 +4,7 @@ use flockmap_grid::{BlockIndex, MapView, Resolution, RobotId, Stamp, StateBlock,
 
 use crate::message::{
     Block, Blocks, FRAME_BYTES_MAX, Have, Link, Message, NodeCounts, NodeHello, Playback, ReaderHello,
-    RobotPose, SeenScan,
+    RobotPose, RunSubmaps, SeenScan,
 };
 use crate::origins::Origins;
 use crate::{FeedError, Splitter};
@@ -21,6 +21,8 @@ pub struct MirrorOptions {
     pub links: bool,
     /// Whether to ask for what the sensor sees.
     pub scans: bool,
+    /// Whether to ask how submaps lie: 1 MB at most.
+    pub submaps: bool,
     /// Most blocks of 8³ voxels. A block takes 350 bytes, and up to 1.1 kB more with origins; while a new map
     /// comes in place of an old one, both are there. Default 2²⁰, 365 MB.
     pub blocks_max: usize,
@@ -28,7 +30,7 @@ pub struct MirrorOptions {
 
 impl Default for MirrorOptions {
     fn default() -> Self {
-        Self { origins: false, links: false, scans: false, blocks_max: BLOCKS_MAX }
+        Self { origins: false, links: false, scans: false, submaps: false, blocks_max: BLOCKS_MAX }
     }
 }
 
@@ -52,6 +54,8 @@ pub enum Event {
     Scan,
     /// Which time of a recording this is: [`Mirror::playback`].
     Playback,
+    /// How submaps lie: [`Mirror::submaps`].
+    Submaps,
     /// The node ends the feed: [`Mirror::end`] says why.
     End,
     /// A frame of a kind that is not known here.
@@ -83,6 +87,7 @@ pub struct Mirror {
     links: Vec<Link>,
     scan: Option<SeenScan>,
     playback: Option<Playback>,
+    submaps: Vec<RunSubmaps>,
     end: Option<String>,
 }
 
@@ -116,6 +121,7 @@ impl Mirror {
             links: Vec::new(),
             scan: None,
             playback: None,
+            submaps: Vec::new(),
             end: None,
         }
     }
@@ -126,8 +132,8 @@ impl Mirror {
         self.splitter = Splitter::new(FRAME_BYTES_MAX);
         self.is_greeted = false;
         self.end = None;
-        let MirrorOptions { origins, links, scans, .. } = self.options;
-        ReaderHello { origins, no_map: false, links, scans, have: self.have }.emit()
+        let MirrorOptions { origins, links, scans, submaps, .. } = self.options;
+        ReaderHello { origins, no_map: false, links, scans, submaps, have: self.have }.emit()
     }
 
     /// Takes bytes from the front of `bytes` up to the end of a frame, and says what that has done; `None`
@@ -188,6 +194,11 @@ impl Mirror {
                 greeted("playback")?;
                 self.playback = Some(playback);
                 Event::Playback
+            }
+            Message::Submaps(submaps) => {
+                greeted("submaps")?;
+                self.submaps = submaps;
+                Event::Submaps
             }
             Message::Unknown(kind) => Event::Unknown(kind),
         })
@@ -318,6 +329,12 @@ impl Mirror {
     /// What the sensor saw newest, thinned, if it was asked for: [`MirrorOptions::scans`].
     pub const fn scan(&self) -> Option<&SeenScan> {
         self.scan.as_ref()
+    }
+
+    /// Which submaps each run has, and how they lie in the map, as said last, if it was asked for:
+    /// [`MirrorOptions::submaps`]. Ascending by robot and run. Of a node that knows of no submaps: nothing.
+    pub fn submaps(&self) -> &[RunSubmaps] {
+        &self.submaps
     }
 
     /// Which time of a recording the map is of, where one is played.

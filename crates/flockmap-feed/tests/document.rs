@@ -2,9 +2,11 @@
 
 use flockmap_feed::{
     Block, Blocks, Event, Link, Message, Mirror, NodeCounts, NodeHello, Playback, ReaderHello, RobotPose,
-    SeenScan,
+    RunSubmaps, SeenScan,
 };
-use flockmap_grid::{BlockIndex, Resolution, RobotId, Stamp, State, StateBlock, Stream, Voxel};
+use flockmap_grid::{
+    BlockIndex, Pose, Resolution, RobotId, Stamp, State, StateBlock, Stream, SubmapId, Voxel,
+};
 
 /// The frames of the document, each with what is said before it.
 fn frames() -> Vec<(String, Vec<u8>)> {
@@ -89,6 +91,16 @@ fn the_example_in_the_document_is_what_is_written_and_read() {
             grows: false,
         })
         .emit(),
+        Message::Submaps(vec![RunSubmaps {
+            stream: Stream { origin: RobotId(7), epoch: 3 },
+            newest: SubmapId::new(4).unwrap(),
+            poses: vec![
+                (SubmapId::FIRST, Pose::IDENTITY),
+                (SubmapId::new(2).unwrap(), Pose::from_translation([0.0, 0.5, -0.25])),
+            ],
+            left_out: 0,
+        }])
+        .emit(),
         Message::End("the node ends".into()).emit(),
     ];
     let frames = frames();
@@ -104,11 +116,18 @@ fn the_example_in_the_document_is_what_is_written_and_read() {
     while let Some(event) = mirror.push(&mut rest).unwrap() {
         events.push(event);
     }
-    use Event::{Anew, Counters, End, Hello, Links, Poses, Scan};
-    assert_eq!(events, [Hello, Anew, Event::Blocks(1), Poses, Counters, Links, Scan, Event::Playback, End]);
+    use Event::{Anew, Counters, End, Hello, Links, Poses, Scan, Submaps};
+    let expected =
+        [Hello, Anew, Event::Blocks(1), Poses, Counters, Links, Scan, Event::Playback, Submaps, End];
+    assert_eq!(events, expected);
     assert_eq!(mirror.links()[0].missing, 3);
     assert_eq!(mirror.scan().unwrap().points, [[3.0, 0.0, 0.5]]);
     assert_eq!(mirror.playback().unwrap().at, Stamp(12_500_000));
+    // A submap without a pose lies as the one before it does.
+    let [of_7] = mirror.submaps() else { panic!("one run") };
+    let at = |submap: u16| of_7.pose(SubmapId::new(submap).unwrap()).map(|pose| pose.translation());
+    let moved = Some([0.0, 0.5, -0.25]);
+    assert_eq!([0, 1, 2, 3, 4, 5].map(at), [Some([0.0; 3]), Some([0.0; 3]), moved, moved, moved, None]);
     assert!(mirror.is_complete());
     let map = mirror.map().unwrap();
     assert_eq!(map.count(), (2, 2));

@@ -8,9 +8,10 @@ mod fuzz;
 use std::path::Path;
 
 use flockmap_feed::{
-    Block, Blocks, Have, Link, Message, NodeCounts, NodeHello, Playback, ReaderHello, RobotPose, SeenScan,
+    Block, Blocks, Have, Link, Message, NodeCounts, NodeHello, Playback, ReaderHello, RobotPose, RunSubmaps,
+    SeenScan,
 };
-use flockmap_grid::{BlockIndex, Resolution, RobotId, Stamp, State, StateBlock, Stream};
+use flockmap_grid::{BlockIndex, Pose, Resolution, RobotId, Stamp, State, StateBlock, Stream, SubmapId};
 
 fn replay(target: &str, made: Vec<Vec<u8>>, run: impl Fn(&[u8])) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(target);
@@ -99,6 +100,11 @@ fn messages() -> Vec<Message> {
     };
     let (begin, end, at) = (Stamp(-5), Stamp(5), Stamp(0));
     let playback = Playback { begin, end, at, speed: 1.0, plays: true, grows: true };
+    let submap = |number| SubmapId::new(number).unwrap();
+    let moved = Pose::from_yaw([1.0, 2.0, 3.0], 0.1);
+    let poses = vec![(submap(0), Pose::IDENTITY), (submap(3), moved)];
+    let submaps = RunSubmaps { stream: pose.stream, newest: submap(9), poses, left_out: 0 };
+    let later = RunSubmaps { stream: Stream { epoch: 6, ..pose.stream }, left_out: 2, ..submaps.clone() };
     vec![
         Message::Hello(hello),
         Message::Anew { began: 4 },
@@ -114,6 +120,7 @@ fn messages() -> Vec<Message> {
         Message::Links(vec![link; 3]),
         Message::Scan(scan),
         Message::Playback(playback),
+        Message::Submaps(vec![submaps, later]),
         Message::Unknown(77),
         Message::End("over".into()),
     ]
@@ -141,6 +148,7 @@ fn what_readers_say_does_no_harm() {
         ReaderHello {
             no_map: true,
             scans: true,
+            submaps: true,
             have: Some(Have { feed: u64::MAX, began: u64::MAX, upto: u64::MAX }),
             ..ReaderHello::default()
         },

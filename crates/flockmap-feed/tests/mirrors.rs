@@ -298,7 +298,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..400), kind in 0..8u8) {
+    fn any_bytes_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..400), kind in 0..12u8) {
         let mut mirror = Mirror::default();
         let _ = mirror.push(&mut &hello(1, false, false).emit()[..]);
         let mut wire = ((bytes.len() + 1) as u32).to_le_bytes().to_vec();

@@ -64,7 +64,7 @@ pub use config::{
 pub use flockmap_io::{FlightOptions, Frame, Frames};
 pub use flockmap_store as store;
 pub use log::{Level, Log};
-pub use map_output::{MapOutput, MapReaders, links_of, poses_of};
+pub use map_output::{MapOutput, MapReaders, links_of, poses_of, submaps_of};
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
 pub use recorder::Recording;

@@ -10,9 +10,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use common::{PATIENCE, config, corridor, frames, loopback, new_dir, swarm, wait_until};
-use flockmap::{MapView, State, Voxel};
+use flockmap::{MapView, Pose, RobotId, Stamp, State, SubmapId, Voxel};
 use flockmap_feed::{Address, Client, ClientError, Event, Mirror, MirrorOptions, ReaderHello};
-use flockmap_node::{MapOutput, Node, NodeHandle, NodeOptions, Sensor, UdpSockets};
+use flockmap_node::{
+    MapOutput, MessageLimits, Node, NodeHandle, NodeOptions, Sensor, SensorMessage, UdpSockets,
+};
 
 fn output(folder: &Path) -> MapOutput {
     let unix = Some((folder.join("map.sock"), 0o600));
@@ -281,4 +283,68 @@ fn a_socket_that_cannot_be_opened_is_named_and_nothing_is_left_running() {
     let error = Node::start(options, move || sockets.into_transport()).unwrap_err().to_string();
     assert!(error.contains("mkdir -p"), "{error}");
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn readers_are_told_how_submaps_lie_when_a_loop_is_closed_those_of_a_team_mate_too() {
+    let start = |(k, sockets): (usize, UdpSockets)| {
+        let sensor = Sensor::Tcp(loopback(), MessageLimits::default());
+        let map_output = Some(MapOutput { tcp: Some(loopback()), ..MapOutput::default() });
+        let options = NodeOptions { sensor, map_output, ..NodeOptions::new(config(k as u16 + 1)) };
+        Node::start(options, move || sockets.into_transport()).unwrap()
+    };
+    let nodes: Vec<NodeHandle> = swarm(2).into_iter().enumerate().map(start).collect();
+    let wanted = MirrorOptions { submaps: true, ..MirrorOptions::default() };
+    let mut readers = [0, 1].map(|k| client(&nodes[k], false, wanted));
+    let mut plain = client(&nodes[0], false, MirrorOptions::default());
+
+    // Two submaps of robot 1.
+    let mut stream = TcpStream::connect(nodes[0].sensor_address().unwrap()).unwrap();
+    for (number, mut frame) in corridor(1, 10).enumerate() {
+        if number == 5 {
+            stream.write_all(&SensorMessage::BeginSubmap.emit()).unwrap();
+        }
+        frame.scan.stamp = Stamp(0);
+        stream.write_all(&SensorMessage::Scan(frame).emit()).unwrap();
+    }
+    let second = SubmapId::new(1).unwrap();
+    let lie = |client: &Client| {
+        let runs = client.mirror().submaps();
+        let run = runs.iter().find(|run| run.stream.origin == RobotId(1))?;
+        Some([run.pose(SubmapId::FIRST)?, run.pose(second)?])
+    };
+    let mut until = |what: &str, reader: usize, expected: [Pose; 2]| {
+        wait_until(what, || {
+            readers[reader].next(Duration::from_millis(20)).unwrap();
+            lie(&readers[reader]) == Some(expected)
+        });
+    };
+    for reader in [0, 1] {
+        until("the second one is there, and lies as the first does", reader, [Pose::IDENTITY; 2]);
+    }
+
+    // A loop is closed.
+    let pose = Pose::from_yaw([0.0, 0.4, 0.0], 0.02);
+    stream.write_all(&SensorMessage::SubmapPose(Some(1), pose).emit()).unwrap();
+    wait_until("it is moved", || nodes[0].status().unwrap().robot.submap_poses == 1);
+    let moved = nodes[0].with_robot(move |robot, _| robot.submap_pose(second)).unwrap();
+    for reader in [0, 1] {
+        until("the second one lies as it was said", reader, [Pose::IDENTITY, moved]);
+    }
+
+    // Robot 2 learns how the map of robot 1 lies in its own: its readers are told of the whole way.
+    let alignment = Pose::from_yaw([10.0, 0.0, 0.0], 0.5);
+    nodes[1].with_robot(move |robot, _| robot.set_alignment(RobotId(1), &alignment)).unwrap().unwrap();
+    until("both lie by the alignment", 1, [alignment, alignment.compose(&moved)]);
+    until("where nothing is aligned nothing has changed", 0, [Pose::IDENTITY, moved]);
+
+    // Who does not ask is told nothing of it.
+    let mut has_counters = false;
+    wait_until("counters have come", || {
+        let event = plain.next(Duration::from_millis(20)).unwrap();
+        assert_ne!(event, Some(Event::Submaps));
+        has_counters |= event == Some(Event::Counters);
+        has_counters && plain.mirror().is_complete()
+    });
+    assert!(plain.mirror().submaps().is_empty());
 }

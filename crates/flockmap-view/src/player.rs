@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use flockmap_feed::{Link, NodeCounts, Playback, RobotPose};
+use flockmap_feed::{Link, NodeCounts, Playback, RobotPose, RunSubmaps};
 use flockmap_grid::{BlockIndex, MapView, Stamp};
 use tokio::io::DuplexStream;
 use tokio::sync::{mpsc, watch};
@@ -113,6 +113,7 @@ struct Player {
     is_news: bool,
     poses: Numbered<Vec<RobotPose>>,
     links: Numbered<Vec<Link>>,
+    submaps: Numbered<Vec<RunSubmaps>>,
     counts: Numbered<NodeCounts>,
     playback: Numbered<Option<Playback>>,
 }
@@ -134,6 +135,7 @@ impl Player {
             is_news: true,
             poses: Numbered::default(),
             links: Numbered::default(),
+            submaps: Numbered::default(),
             counts: Numbered::default(),
             playback: Numbered::default(),
         }
@@ -200,6 +202,7 @@ impl Player {
             let beside = self.recording.beside_at(moment);
             self.poses.share(beside.poses);
             self.links.share(beside.links);
+            self.submaps.share(beside.submaps);
             self.counts.share(beside.counts);
             let shown = (moment, self.map.version());
             *self.shown.moment.lock().unwrap_or_else(PoisonError::into_inner) = shown;
@@ -212,6 +215,7 @@ impl Player {
             poses: self.poses.clone(),
             counts: self.counts.clone(),
             links: self.links.clone(),
+            submaps: self.submaps.clone(),
             scan: Numbered::default(),
             playback: self.playback.clone(),
         }))

@@ -5,7 +5,7 @@ use std::collections::hash_map::Entry;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 
-use flockmap_feed::{Block, Link, NodeCounts, RobotPose};
+use flockmap_feed::{Block, Link, NodeCounts, RobotPose, RunSubmaps};
 use flockmap_grid::{BlockIndex, MapView, Plane, Resolution, RobotId, Stamp, StateBlock};
 use tokio::sync::watch;
 
@@ -31,6 +31,8 @@ pub struct Step {
     pub poses: Vec<RobotPose>,
     /// How robots are heard.
     pub links: Vec<Link>,
+    /// How submaps lie in the map.
+    pub submaps: Vec<RunSubmaps>,
     /// What was counted.
     pub counters: Vec<(String, u64)>,
 }
@@ -74,6 +76,8 @@ struct Moment {
 pub(crate) struct Beside {
     pub(crate) poses: Arc<Vec<RobotPose>>,
     pub(crate) links: Arc<Vec<Link>>,
+    /// The same as of the moment before if nothing has changed.
+    pub(crate) submaps: Arc<Vec<RunSubmaps>>,
     pub(crate) counts: Arc<NodeCounts>,
 }
 
@@ -236,9 +240,15 @@ impl Recording {
 
 impl Kept {
     fn push(&mut self, step: Step) {
-        let Step { stamp, blocks, poses, links, counters } = step;
+        let Step { stamp, blocks, poses, links, submaps, counters } = step;
         let (poses, links) = (Arc::new(poses), Arc::new(links));
-        let beside = Beside { poses, links, counts: Arc::new(NodeCounts { now: stamp, counters }) };
+        let before = self.moments.last().map(|last| &last.beside.submaps);
+        let submaps = match before {
+            Some(before) if **before == submaps => Arc::clone(before),
+            _ => Arc::new(RunSubmaps::within_limits(submaps)),
+        };
+        let counts = Arc::new(NodeCounts { now: stamp, counters });
+        let beside = Beside { poses, links, submaps, counts };
         match self.moments.last_mut() {
             Some(last) if last.stamp >= stamp => last.beside = beside,
             _ => self.moments.push(Moment { stamp, changed: Vec::new(), beside }),
@@ -247,7 +257,7 @@ impl Kept {
         for block in blocks {
             self.push_block(moment as u32, block);
         }
-        self.bytes += 400 + 75 * self.moments[moment].beside.poses.len();
+        self.bytes += beside_bytes(&self.moments[moment.saturating_sub(1)..]);
     }
 
     fn push_block(&mut self, moment: u32, block: Block) {
@@ -289,7 +299,8 @@ impl Kept {
             first.changed.shrink_to_fit();
             self.moments.push(first);
         }
-        self.bytes = self.moments.iter().map(|moment| 400 + 75 * moment.beside.poses.len()).sum();
+        let upto = |moment: usize| &self.moments[moment.saturating_sub(1)..=moment];
+        self.bytes = (0..self.moments.len()).map(|moment| beside_bytes(upto(moment))).sum();
         for seen in &mut self.seen {
             seen.states.iter_mut().for_each(|(moment, ..)| *moment /= 2);
             // Of two of the same moment the later one counts.
@@ -301,6 +312,15 @@ impl Kept {
             self.bytes += SEEN_BYTES + seen.states.iter().map(|(.., origins)| bytes(origins)).sum::<usize>();
         }
     }
+}
+
+/// Bytes of what is beside the map at the last one of one or two moments, without what it shares with the one before.
+fn beside_bytes(moments: &[Moment]) -> usize {
+    let Some((last, before)) = moments.split_last() else { return 0 };
+    let Beside { poses, submaps, .. } = &last.beside;
+    let is_shared = before.last().is_some_and(|before| Arc::ptr_eq(&before.beside.submaps, submaps));
+    let of_runs = submaps.iter().map(|run| size_of_val(run) + size_of_val(&*run.poses));
+    400 + 75 * poses.len() + if is_shared { 0 } else { of_runs.sum() }
 }
 
 impl Seen {

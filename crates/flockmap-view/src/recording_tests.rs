@@ -1,7 +1,7 @@
 use std::time::Duration;
 
 use flockmap_feed::{Event, Mirror, MirrorOptions};
-use flockmap_grid::State;
+use flockmap_grid::{Pose, State, Stream, SubmapId};
 use proptest::prelude::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
 use tokio::sync::mpsc;
@@ -126,7 +126,7 @@ impl Viewer {
         let (mut pipe, theirs) = tokio::io::duplex(1 << 16);
         let (controls, controls_in) = mpsc::channel(4);
         recording.connect(theirs, controls_in);
-        let mut mirror = Mirror::new(MirrorOptions { origins, ..MirrorOptions::default() });
+        let mut mirror = Mirror::new(MirrorOptions { origins, submaps: true, ..MirrorOptions::default() });
         pipe.write_all(&mirror.connect()).await.unwrap();
         Self { pipe, mirror, controls }
     }
@@ -180,6 +180,53 @@ fn a_browser_sees_the_map_of_the_time_that_it_asks_for_forwards_and_back() {
             }
         });
     }
+}
+
+/// One run whose first submap was moved so far along x.
+fn moved(x: f64) -> Vec<RunSubmaps> {
+    let stream = Stream { origin: RobotId(1), epoch: 3 };
+    let poses = vec![(SubmapId::FIRST, Pose::from_translation([x, 0.0, 0.0]))];
+    vec![RunSubmaps { stream, newest: SubmapId::FIRST, poses, left_out: 0 }]
+}
+
+#[test]
+fn a_browser_is_told_how_submaps_lay_at_the_time_that_it_asks_for() {
+    with_time(async move {
+        let recording = Arc::new(recording());
+        // A loop was closed in the sixth second.
+        let metres = |second: i64| if second < 6 { 0.0 } else { 0.5 };
+        for second in 0..10 {
+            let submaps = moved(metres(second));
+            recording.push(Step { submaps, ..step(second, vec![block(second as i32, Some(3))]) });
+        }
+        recording.finish();
+        let mut viewer = Viewer::new(&recording, false).await;
+        viewer.controls.send(Control::Play(false)).await.unwrap();
+        for second in [7, 2, 9, 0] {
+            viewer.controls.send(Control::SeekUs(second * 1_000_000)).await.unwrap();
+            viewer
+                .until(|mirror| {
+                    Viewer::at(mirror) == second * 1_000_000 && mirror.submaps() == moved(metres(second))
+                })
+                .await;
+        }
+    });
+}
+
+#[test]
+fn submaps_that_lie_as_before_are_kept_once_and_count_once() {
+    let (with, without) = (recording(), recording());
+    for second in 0..100 {
+        let submaps = moved(if second < 50 { 0.0 } else { 0.5 });
+        with.push(Step { submaps, ..step(second, Vec::new()) });
+        without.push(step(second, Vec::new()));
+    }
+    let bytes = |recording: &Recording| recording.kept.read().unwrap().bytes;
+    let of_one = size_of::<RunSubmaps>() + size_of::<(SubmapId, Pose)>();
+    assert_eq!(bytes(&with) - bytes(&without), 2 * of_one);
+    with.kept.write().unwrap().thin();
+    without.kept.write().unwrap().thin();
+    assert_eq!(bytes(&with) - bytes(&without), 2 * of_one);
 }
 
 #[test]

@@ -30,7 +30,7 @@ from ._flockmap import (
     Transmits,
     open_record,
 )
-from ._frames import MirrorError, RobotPose
+from ._frames import MirrorError, RobotPose, RunSubmaps
 from ._mirror import Mirror, MirrorMap
 
 #: A record that is an MCAP file: `open_record` takes those, and others.
@@ -61,6 +61,7 @@ __all__ = [
     "Record",
     "Robot",
     "RobotPose",
+    "RunSubmaps",
     "ScanReport",
     "Transmits",
     "open_mcap",

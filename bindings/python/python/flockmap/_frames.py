@@ -17,6 +17,8 @@ INDEX_MAX = 33_554_432
 MAGIC = b"FLKM"
 VERSION = 1
 HAS_ORIGINS, GOES_ON = 1, 2
+WANTS_SUBMAPS = 16
+RUNS_MAX, SUBMAP_POSES_MAX, SUBMAPS_MAX = 1_024, 8_192, 4_096
 
 
 class MirrorError(Error):
@@ -83,19 +85,48 @@ class Counters:
 
 
 @dataclass(frozen=True)
+class RunSubmaps:
+    """The submaps of one run of a robot, 0 to `newest`, and how they lie in the map of the node."""
+
+    robot: int
+    epoch: int
+    #: The newest that is known to have begun.
+    newest: int
+    #: Poses of older submaps for which there was no room.
+    left_out: int
+    #: (N,) uint16, ascending: those that do not lie as the one before them.
+    submaps: NDArray[np.uint16]
+    #: (N, 4, 4): T_own_submap of each, metres.
+    poses: NDArray[np.float64]
+
+    def pose(self, submap: int) -> NDArray[np.float64] | None:
+        """T_own_submap (4, 4) of a submap. None: it has not begun, or its pose was left out."""
+        at = int(np.searchsorted(self.submaps, submap, "right")) - 1
+        return self.poses[at] if at >= 0 and submap <= self.newest else None
+
+
+@dataclass(frozen=True)
+class Submaps:
+    """All runs that are known."""
+
+    runs: tuple[RunSubmaps, ...]
+
+
+@dataclass(frozen=True)
 class End:
     """The last frame."""
 
     why: str
 
 
-Frame = Hello | BeginAnew | Blocks | Poses | Counters | End
+Frame = Hello | BeginAnew | Blocks | Poses | Counters | Submaps | End
 
 
-def hello(feed: int, began: int, upto: int) -> bytes:
+def hello(feed: int, began: int, upto: int, *, submaps: bool = False) -> bytes:
     """What the reader sends: the feed from which it has something (0: none), the version at which that began anew, and that
     upto which it has all. It wants no origins."""
-    body = struct.pack("<B4sBBQQQ", 1, MAGIC, VERSION, 0, feed, began, upto)
+    flags = WANTS_SUBMAPS if submaps else 0
+    body = struct.pack("<B4sBBQQQ", 1, MAGIC, VERSION, flags, feed, began, upto)
     return struct.pack("<I", len(body)) + body
 
 
@@ -131,6 +162,7 @@ def parse(kind: int, body: bytes) -> Frame | None:
         4: _poses,
         5: _counters,
         6: _end,
+        10: _submaps,
     }
     return parsers[kind](_Reader(body)) if kind in parsers else None
 
@@ -228,6 +260,49 @@ def _counters(body: _Reader) -> Counters:
         name = body.text(length, "counters")
         (counters[name],) = body.take("Q", "counters")
     return Counters(time / 1e6, counters)
+
+
+_SUBMAP = np.dtype([("submap", "<u2"), ("position", "<f8", 3), ("quaternion", "<f8", 4)])
+
+
+def _submaps(body: _Reader) -> Submaps:
+    (count,) = body.take("H", "submaps")
+    if count > RUNS_MAX:
+        raise MirrorError(f"submaps of {count} runs, expected {RUNS_MAX} at most")
+    runs: list[RunSubmaps] = []
+    room = SUBMAP_POSES_MAX
+    for _ in range(count):
+        robot, epoch, newest, left_out, poses = body.take("HQHHH", "submaps")
+        if newest >= SUBMAPS_MAX or poses > room:
+            raise MirrorError(f"submaps: the newest is {newest}, and {poses} poses follow: more than there may be")
+        room -= poses
+        if runs and (runs[-1].robot, runs[-1].epoch) >= (robot, epoch):
+            raise MirrorError("submaps: runs that do not ascend")
+        (data,) = body.take(f"{poses * _SUBMAP.itemsize}s", "submaps")
+        found = np.frombuffer(data, _SUBMAP)
+        numbers = found["submap"].astype(np.uint16)
+        if (numbers[1:] <= numbers[:-1]).any() or (numbers > newest).any():
+            raise MirrorError(f"submaps: numbers that do not ascend to {newest}")
+        runs.append(RunSubmaps(robot, epoch, newest, left_out, numbers, _matrices(found)))
+    return Submaps(tuple(runs))
+
+
+def _matrices(found: NDArray[np.void]) -> NDArray[np.float64]:
+    quaternion = found["quaternion"].astype(np.float64)
+    with np.errstate(all="ignore"):
+        length = np.sqrt((quaternion**2).sum(1))
+        # Written so that what is no number is refused too.
+        is_unit = np.abs(length - 1.0) <= 1e-3
+    if not (is_unit.all() and np.isfinite(found["position"]).all()):
+        raise MirrorError("submaps: a pose that is none")
+    x, y, z, w = (quaternion / length[:, None]).T
+    poses = np.zeros((len(found), 4, 4))
+    poses[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1)
+    poses[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1)
+    poses[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1)
+    poses[:, :3, 3] = found["position"]
+    poses[:, 3, 3] = 1
+    return poses
 
 
 def _end(body: _Reader) -> End:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._blocks import FREE, OCCUPIED, BlockMap
 from ._flockmap import ClosedError, Error
-from ._frames import MirrorError, RobotPose
+from ._frames import MirrorError, RobotPose, RunSubmaps
 from ._mirror_state import BLOCKS_MAX, Growing, MirrorState
 
 #: The node says something each second.
@@ -103,13 +103,21 @@ class Mirror:
     address: "unix:PATH" or "HOST:PORT", as the node's log and `Node.map_addresses` say it.
     blocks_max: a map of more blocks of 8³ voxels is refused; each takes some 280 bytes here, twice that while a new map comes.
     receive_buffer: bytes that the system keeps; make it small on a thin link.
+    submaps: whether to ask how submaps lie.
     """
 
-    def __init__(self, address: str, *, blocks_max: int = BLOCKS_MAX, receive_buffer: int | None = None) -> None:
+    def __init__(
+        self,
+        address: str,
+        *,
+        blocks_max: int = BLOCKS_MAX,
+        receive_buffer: int | None = None,
+        submaps: bool = False,
+    ) -> None:
         self.address = address
         self._target = _target(address)
         self._receive_buffer = receive_buffer
-        self._state = MirrorState(blocks_max)
+        self._state = MirrorState(blocks_max, submaps=submaps)
         self._changed = threading.Condition()
         self._is_closed = False
         self._is_connected = False
@@ -163,6 +171,13 @@ class Mirror:
         """Where the robots are, by id, as the node said it last."""
         with self._changed:
             return dict(self._state.poses)
+
+    @property
+    def submaps(self) -> tuple[RunSubmaps, ...]:
+        """The submaps of each run of a robot and how they lie in the map, as the node said it last, by robot and epoch. Empty
+        unless they were asked for."""
+        with self._changed:
+            return self._state.submaps
 
     @property
     def counters(self) -> dict[str, int]:

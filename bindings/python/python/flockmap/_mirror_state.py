@@ -35,8 +35,10 @@ class Growing:
 class MirrorState:
     """The map of a node, made of the bytes that it sends. Not for several threads at once."""
 
-    def __init__(self, blocks_max: int = BLOCKS_MAX) -> None:
+    def __init__(self, blocks_max: int = BLOCKS_MAX, *, submaps: bool = False) -> None:
         self.blocks_max = blocks_max
+        self._wants_submaps = submaps
+        self.submaps: tuple[frames.RunSubmaps, ...] = ()
         self.poses: dict[int, frames.RobotPose] = {}
         self.counters: dict[str, int] = {}
         #: Why the node ended the connection, if it said so.
@@ -55,8 +57,9 @@ class MirrorState:
         self._splitter, self._hello, self.end = frames.Splitter(), None, None
         newest = self._coming or self.shown
         if newest is None:
-            return frames.hello(0, 0, 0)
-        return frames.hello(newest.hello.feed, newest.began, newest.upto)
+            return frames.hello(0, 0, 0, submaps=self._wants_submaps)
+        has = newest.hello.feed, newest.began, newest.upto
+        return frames.hello(*has, submaps=self._wants_submaps)
 
     def push(self, data: bytes) -> bool:
         """Takes in what was read. Whether the map that is shown changed.
@@ -86,6 +89,8 @@ class MirrorState:
                 self.poses = frame.robots
             case frames.Counters():
                 self.counters = frame.counters
+            case frames.Submaps():
+                self.submaps = frame.runs
             case frames.End():
                 self.end = frame.why
 

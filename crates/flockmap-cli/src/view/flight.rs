@@ -123,6 +123,7 @@ impl Flight {
             blocks: changed.into_iter().map(block).collect(),
             poses: self.mirror.robots().to_vec(),
             links: self.mirror.links().to_vec(),
+            submaps: self.mirror.submaps().to_vec(),
             counters: self.mirror.counts().counters.clone(),
         });
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use flockmap::grid::BlockIndex;
 use flockmap::{MapView, Resolution, Robot, RobotId, Stamp};
 use flockmap_feed::Block;
-use flockmap_node::{links_of, poses_of};
+use flockmap_node::{links_of, poses_of, submaps_of};
 use flockmap_view::{Recording, Series, Step};
 
 use crate::measure::IP_UDP_BYTES;
@@ -84,6 +84,7 @@ impl Recorder {
             blocks: changed.into_iter().map(block).collect(),
             poses: poses_of(robot, now),
             links: links_of(robot, now),
+            submaps: submaps_of(robot),
             counters: counters.map(|(name, value)| (name.to_owned(), value)).into(),
         });
     }

@@ -15,6 +15,7 @@ const GOES_ON: u8 = 2;
 const NO_MAP: u8 = 2;
 const LINKS: u8 = 4;
 const SCANS: u8 = 8;
+const SUBMAPS: u8 = 16;
 
 /// What a reader has of a map. Versions count within one feed, which is one run of a node.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -39,6 +40,8 @@ pub struct ReaderHello {
     pub links: bool,
     /// Whether it wants what the sensor sees.
     pub scans: bool,
+    /// Whether it wants to know how submaps lie.
+    pub submaps: bool,
     /// What it has from before.
     pub have: Option<Have>,
 }
@@ -68,8 +71,13 @@ impl ReaderHello {
         frame(HELLO, |bytes| {
             bytes.extend_from_slice(&MAGIC);
             bytes.push(FEED_VERSION);
-            let flags =
-                [(self.origins, ORIGINS), (self.no_map, NO_MAP), (self.links, LINKS), (self.scans, SCANS)];
+            let flags = [
+                (self.origins, ORIGINS),
+                (self.no_map, NO_MAP),
+                (self.links, LINKS),
+                (self.scans, SCANS),
+                (self.submaps, SUBMAPS),
+            ];
             bytes.push(flags.iter().filter(|(is_set, _)| *is_set).map(|(_, flag)| flag).sum());
             let have = self.have.map_or([0; 3], |have| [have.feed, have.began, have.upto]);
             have.iter().for_each(|number| bytes.extend_from_slice(&number.to_le_bytes()));
@@ -97,6 +105,7 @@ impl ReaderHello {
             no_map: wants(NO_MAP),
             links: wants(LINKS),
             scans: wants(SCANS),
+            submaps: wants(SUBMAPS),
             have,
         })
     }

@@ -4,6 +4,7 @@ mod blocks;
 mod hello;
 mod playback;
 mod robots;
+mod submaps;
 
 use flockmap_grid::Stamp;
 
@@ -15,6 +16,7 @@ pub use blocks::{Block, Blocks};
 pub use hello::{Have, NodeHello, ReaderHello};
 pub use playback::Playback;
 pub use robots::{Link, RobotPose, SeenScan};
+pub use submaps::RunSubmaps;
 
 /// The version of the feed that is spoken here.
 pub const FEED_VERSION: u8 = 1;
@@ -40,6 +42,7 @@ const END: u8 = 6;
 const LINKS: u8 = 7;
 const SCAN: u8 = 8;
 const PLAYBACK: u8 = 9;
+const SUBMAPS: u8 = 10;
 
 /// Flag of both hellos, and of blocks frames: the origin of every voxel.
 const ORIGINS: u8 = 1;
@@ -75,6 +78,8 @@ pub enum Message {
     Scan(SeenScan),
     /// Which time of a recording is shown.
     Playback(Playback),
+    /// Which submaps there are, and how they lie: of all runs that are known. For readers that want submaps.
+    Submaps(Vec<RunSubmaps>),
     /// The last one, with the reason for people.
     End(String),
     /// A kind of a later version of the feed. It means nothing here.
@@ -82,7 +87,7 @@ pub enum Message {
 }
 
 impl Message {
-    /// The message as a frame. A text that is too long is cut.
+    /// The message as a frame. What is too long is cut.
     pub fn emit(&self) -> Vec<u8> {
         match self {
             Self::Hello(hello) => frame(HELLO, |bytes| hello.put(bytes)),
@@ -96,6 +101,7 @@ impl Message {
             Self::Links(links) => frame(LINKS, |bytes| Link::put_all(links, bytes)),
             Self::Scan(scan) => frame(SCAN, |bytes| scan.put(bytes)),
             Self::Playback(playback) => frame(PLAYBACK, |bytes| playback.put(bytes)),
+            Self::Submaps(runs) => frame(SUBMAPS, |bytes| RunSubmaps::put_all(runs, bytes)),
             Self::Counters(counts) => frame(COUNTERS, |bytes| {
                 bytes.extend_from_slice(&counts.now.0.to_le_bytes());
                 let counters = &counts.counters[..counts.counters.len().min(1 << 10)];
@@ -125,6 +131,7 @@ impl Message {
             LINKS => Self::Links(Link::parse_all(body)?),
             SCAN => Self::Scan(SeenScan::parse(body)?),
             PLAYBACK => Self::Playback(Playback::parse(body)?),
+            SUBMAPS => Self::Submaps(RunSubmaps::parse_all(body)?),
             COUNTERS => {
                 let mut fields = Fields::new("counters", body);
                 let (now, count) = (Stamp(fields.i64("time")?), fields.u16("count")?);

@@ -86,7 +86,7 @@ fn framed(mut input: &[u8]) -> Vec<u8> {
         let length = usize::from(u16::from_le_bytes([*low, *high])).min(rest.len());
         let (body, rest) = rest.split_at(length);
         wire.extend_from_slice(&(length as u32 + 1).to_le_bytes());
-        wire.push(kind % 11);
+        wire.push(kind % 12);
         wire.extend_from_slice(body);
         input = rest;
     }

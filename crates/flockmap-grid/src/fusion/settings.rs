@@ -60,6 +60,11 @@ impl Settings {
         self.submaps.entry(stream).or_default().insert(submap, pose);
     }
 
+    /// The submaps of a stream of which it was said how they lie, ascending.
+    pub(super) fn submaps(&self, stream: Stream) -> impl Iterator<Item = (SubmapId, Pose)> {
+        self.submaps.get(&stream).into_iter().flatten().map(|(submap, pose)| (*submap, *pose))
+    }
+
     /// Whether all submaps of a stream lie as the stream does.
     pub(super) fn is_unmoved(&self, stream: Stream) -> bool {
         let submaps = self.submaps.get(&stream);

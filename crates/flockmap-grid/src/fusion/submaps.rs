@@ -26,6 +26,23 @@ impl Fusion {
         self.wanted.submap(stream, submap)
     }
 
+    /// How submaps of a stream lie in the fused map as it is now, `T_own_submap`: those that do not lie as the one before
+    /// them does, ascending, the first one of the stream among them. O(submaps of which a pose is known).
+    pub fn shown_submaps(&self, stream: Stream) -> Vec<(SubmapId, Pose)> {
+        let settings = &self.shown.settings;
+        let of_stream = match stream == self.sources.own {
+            true => Pose::IDENTITY,
+            false => *settings.origin(stream.origin).pose(),
+        };
+        let mut poses = vec![(SubmapId::FIRST, settings.submap(stream, SubmapId::FIRST))];
+        poses.extend(settings.submaps(stream).filter(|(submap, _)| *submap > SubmapId::FIRST));
+        poses.dedup_by_key(|(_, pose)| *pose);
+        for (_, pose) in &mut poses {
+            *pose = if *pose == Pose::IDENTITY { of_stream } else { of_stream.compose(pose) };
+        }
+        poses
+    }
+
     /// Says how a submap lies in the map of its stream: for the own stream, of which this robot knows it first.
     pub fn set_submap_pose(&mut self, stream: Stream, submap: SubmapId, pose: Pose) {
         if self.wanted.submap(stream, submap) != pose {

@@ -7,6 +7,7 @@ mod giver;
 mod outlet;
 mod said;
 mod server;
+mod submaps;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -14,7 +15,7 @@ use std::time::Duration;
 
 pub use outlet::MapReaders;
 pub(crate) use outlet::Outlet;
-pub use said::{links_of, poses_of};
+pub use said::{links_of, poses_of, submaps_of};
 
 /// Where planners of other processes read the fused map. Whoever can connect can read it all.
 ///

@@ -17,6 +17,7 @@ use tokio::sync::{mpsc, watch};
 use super::MapOutput;
 use super::said::{links_of, poses_of};
 use super::server::{Listeners, Server};
+use super::submaps::Submaps;
 use crate::command::Command;
 use crate::{Log, NodeCounters};
 
@@ -43,8 +44,8 @@ pub(crate) struct Outlet {
     /// The version of the map, and when it came to it.
     version: u64,
     stamp: Stamp,
-    /// The map and the scan that were given out last, as long as there are readers.
-    given: Option<[u64; 2]>,
+    /// The map, the scan and the submaps that were given out last, as long as there are readers.
+    given: Option<[u64; 3]>,
     due: Instant,
     counts_due: Instant,
     known: Vec<KnownPose>,
@@ -53,6 +54,7 @@ pub(crate) struct Outlet {
     links: Numbered<Vec<Link>>,
     scan: Numbered<Option<SeenScan>>,
     scan_due: Instant,
+    submaps: Submaps,
     readers: MapReaders,
     beside: Vec<(&'static str, Arc<AtomicU64>)>,
     series: Arc<Series>,
@@ -136,6 +138,7 @@ impl Outlet {
             links: Numbered::default(),
             scan: Numbered::default(),
             scan_due: now,
+            submaps: Submaps::new(now),
             readers: MapReaders(readers),
             series: Arc::new(Series::new(series_names(&beside))),
             beside,
@@ -199,7 +202,8 @@ impl Outlet {
         }
     }
 
-    /// Gives the map out if there are readers and it is time, or `at_once`. O(1), and O(robots) when it gives.
+    /// Gives the map out if there are readers and it is time, or `at_once`. O(1), O(robots) when it gives, and
+    /// O(submaps) where somebody wants these.
     pub(crate) fn offer(
         &mut self,
         robot: &Robot,
@@ -221,10 +225,15 @@ impl Outlet {
             return;
         }
         let instant = Instant::now();
-        let is_news = self.given != Some([version, self.scan.number()]);
         let is_count_due = instant >= self.counts_due;
-        let is_due = at_once || is_count_due || (is_news && instant >= self.due);
-        if !is_due {
+        let may_give = at_once || is_count_due || instant >= self.due;
+        if self.tally.wants_submaps() {
+            self.submaps.look(robot, may_give, at_once);
+        } else {
+            self.submaps.rest();
+        }
+        let is_due = at_once || is_count_due || (may_give && self.is_news());
+        if !is_due || self.submaps.unseen_until().is_some() {
             return;
         }
         let known = robot.poses();
@@ -244,20 +253,31 @@ impl Outlet {
         }
         let (poses, counts) = (self.poses.clone(), self.counts.clone());
         let (links, scan) = (self.links.clone(), self.scan.clone());
-        let (map, stamp) = (robot.view(), self.stamp);
+        let (map, stamp, submaps) = (robot.view(), self.stamp, self.submaps.said());
         let playback = Numbered::default();
-        give.send_replace(Some(Arc::new(Given { map, stamp, poses, counts, links, scan, playback })));
-        self.given = Some([version, self.scan.number()]);
+        let given = Given { map, stamp, poses, counts, links, scan, submaps, playback };
+        give.send_replace(Some(Arc::new(given)));
+        self.given = Some(self.newest());
         self.due = instant + self.period;
     }
 
     /// When to offer again.
     pub(crate) fn poll_timeout(&self) -> Option<Instant> {
         let is_wanted = self.give.is_some() && self.readers() > 0;
-        let due =
-            if self.given == Some([self.version, self.scan.number()]) { self.counts_due } else { self.due };
-        let offer = is_wanted.then(|| due.min(self.counts_due));
+        let unseen = self.submaps.unseen_until();
+        let may_be_news = unseen.is_some() || self.is_news();
+        let due = if may_be_news { self.due.min(self.counts_due) } else { self.counts_due };
+        let offer = is_wanted.then(|| unseen.map_or(due, |until| due.max(until)));
         Some(offer.unwrap_or(self.series_due).min(self.series_due))
+    }
+
+    /// Whether there is something else than what was given out last.
+    fn is_news(&self) -> bool {
+        self.given != Some(self.newest())
+    }
+
+    fn newest(&self) -> [u64; 3] {
+        [self.version, self.scan.number(), self.submaps.number()]
     }
 
     /// Says the end to the readers, once they have all that was given out, and waits for a moment until that is

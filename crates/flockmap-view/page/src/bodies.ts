@@ -109,11 +109,12 @@ export class Bodies {
   setTrails(robots: RobotState[]): void {
     const pieces: Piece[] = [];
     for (const robot of robots) {
-      const n = robot.trail.length / 3;
+      const { points } = robot.trail;
+      const n = points.length / 3;
       let before: [number, number, number] | null = null;
       for (let i = 0; i <= n; i++) {
         // The last piece goes on to where the robot is.
-        const at = i < n ? (robot.trail.slice(3 * i, 3 * i + 3) as [number, number, number]) : robot.pose?.at;
+        const at = i < n ? (points.slice(3 * i, 3 * i + 3) as [number, number, number]) : robot.pose?.at;
         if (!at) continue;
         const here = this.stage.toScene(at);
         if (before) pieces.push({ a: before, b: here, tint: [...robot.colour, 0.25 + 0.7 * (i / n)] });

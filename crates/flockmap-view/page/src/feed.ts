@@ -1,10 +1,15 @@
 // The bytes of the feed (docs/map-output.md): frames out of pieces that are cut anywhere, and what is in each frame.
 
+import type { Rigid } from "./rigid";
+
 export const FRAME_MAX = 1 << 20;
 export const WANT_ORIGINS = 1;
 export const WANT_NO_MAP = 2;
 export const WANT_LINKS = 4;
 export const WANT_SCANS = 8;
+export const WANT_SUBMAPS = 16;
+/** Of one frame, of all runs together. */
+const SUBMAP_POSES_MAX = 8_192;
 
 /** What the reader has of a map. All three are 0 if it has nothing. */
 export interface Have {
@@ -64,6 +69,20 @@ export interface Scan {
   turned: [number, number, number, number];
   had: number;
   points: Float32Array;
+}
+
+/** The submaps of one run of a robot. */
+export interface Run {
+  robot: number;
+  epoch: string;
+  newest: number;
+  /** Ascending. A submap that is not there lies as the one before it. */
+  poses: SubmapPose[];
+}
+
+/** How a submap lies in the map that is fed. */
+export interface SubmapPose extends Rigid {
+  submap: number;
 }
 
 /** Times in seconds. */
@@ -280,6 +299,24 @@ export function readScan(body: Uint8Array): Scan {
   if (count > 2_048) throw new FeedError("a scan of more than 2,048 points");
   const points = Float32Array.from({ length: count * 3 }, () => r.f32());
   return { stamp, at, turned, had, points };
+}
+
+export function readSubmaps(body: Uint8Array): Run[] {
+  const r = new Reader(body);
+  let room = SUBMAP_POSES_MAX;
+  return Array.from({ length: r.u16() }, () => {
+    const [robot, epoch, newest] = [r.u16(), r.u64().toString(), r.u16()];
+    r.u16();
+    const count = r.u16();
+    room -= count;
+    if (room < 0) throw new FeedError(`more than ${SUBMAP_POSES_MAX} submaps`);
+    const poses = Array.from({ length: count }, (): SubmapPose => {
+      const pose = { submap: r.u16(), at: r.vector(), turned: r.quaternion() };
+      if (Math.abs(Math.hypot(...pose.turned) - 1) > 1e-3) throw new FeedError("a rotation that is none");
+      return pose;
+    });
+    return { robot, epoch, newest, poses };
+  });
 }
 
 export function readPlayback(body: Uint8Array): Playback {

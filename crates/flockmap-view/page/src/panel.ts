@@ -7,6 +7,9 @@ import type { MapState } from "./protocol";
 import { SILENT, type RobotState, type Swarm } from "./swarm";
 import type { Colouring } from "./voxels";
 
+/** Robots whose submaps are in words. */
+const SUBMAPS_OF = 6;
+
 interface Row {
   row: HTMLElement;
   radio: HTMLInputElement;
@@ -69,6 +72,7 @@ export class Panel {
     write(byId("f-age"), age === null ? UNKNOWN : age < 0.95 ? "now" : `${seconds(age)} ago`);
     write(byId("f-out"), rate(robot?.rateOut));
     write(byId("f-in"), rate(robot?.rateIn));
+    write(byId("f-submaps"), this.submaps(robot));
     const links = [...(robot?.links.values() ?? [])];
     const missing = links.filter((link) => link.missing > 0).map((link) => `${count(link.missing)} of ${this.nameOf(link.robot)}`);
     write(byId("f-missing"), links.length === 0 ? UNKNOWN : missing.length === 0 ? "no package" : `packages: ${missing.join(", ")}`);
@@ -99,6 +103,19 @@ export class Panel {
       const trip = link.roundTrip === null ? "" : `, round trip ${(link.roundTrip * 1e3).toFixed(0)} ms`;
       row.title = link.hears ? `heard ${seconds(link.heardAge)}${link.heardAge < 0.95 ? "" : " ago"}${trip}` : "not heard";
     });
+  }
+
+  /** How many submaps the newest run of each robot has, if there are several, and how far they were moved last. */
+  private submaps(robot: RobotState | undefined): string {
+    if (!robot || robot.runs.length === 0) return UNKNOWN;
+    const newest = new Map(robot.runs.map((run) => [run.robot, run]));
+    const several = [...newest.values()].filter((run) => run.newest > 0);
+    const words = several.slice(0, SUBMAPS_OF).map((run) => {
+      const moved = this.swarm.get(run.robot)?.moved ?? null;
+      return `${run.newest + 1} of ${this.nameOf(run.robot)}${moved === null ? "" : `, moved ${moved.toFixed(2)} m`}`;
+    });
+    if (several.length > SUBMAPS_OF) words.push(`and of ${several.length - SUBMAPS_OF} more`);
+    return words.join("; ") || "one of each robot";
   }
 
   nameOf(id: number): string {

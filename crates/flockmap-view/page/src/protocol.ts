@@ -1,6 +1,6 @@
 // What the page and its worker tell each other.
 
-import type { Counters, Link, Playback, Pose, Scan } from "./feed";
+import type { Counters, Link, Playback, Pose, Run, Scan } from "./feed";
 import type { Budget, Camera } from "./lod";
 import type { Wish } from "./present";
 
@@ -81,6 +81,7 @@ export type FromWorker =
   | { kind: "connected"; robot: number; connected: Connected }
   | { kind: "heard"; robot: number }
   | { kind: "poses"; robot: number; poses: Pose[] }
+  | { kind: "submaps"; robot: number; runs: Run[] }
   | { kind: "counters"; robot: number; counters: Counters }
   | { kind: "links"; robot: number; links: Link[]; at: number }
   | { kind: "scan"; robot: number; scan: Scan }

@@ -1,14 +1,13 @@
 // What is known of the robots: where they are, where they were, whom they hear, what they see.
 
 import { robotColour } from "./colours";
-import type { Counters, Link, Pose, Scan } from "./feed";
+import type { Counters, Link, Pose, Run, Scan } from "./feed";
 import type { Connected, RobotName } from "./protocol";
 import { GAP_MAX } from "./series";
+import { Trail } from "./trail";
 
 /** After so many seconds without a word a robot is shown as silent. */
 export const SILENT = 3;
-export const TRAIL_MAX = 1_500;
-const TRAIL_STEP = 0.15;
 
 export interface LinkState extends Link {
   /** Bytes of a second, null before there were two reports. */
@@ -28,7 +27,13 @@ export interface RobotState {
   pose: Pose | null;
   /** `Date.now()` at which the pose was true. */
   poseAt: number;
-  trail: number[];
+  trail: Trail;
+  /** The submaps of its run, with which its trail moves. */
+  run: Run | null;
+  /** How far the trail was moved when a loop was closed last, in metres. */
+  moved: number | null;
+  /** The submaps of all runs, as its feed tells of them. */
+  runs: Run[];
   links: Map<number, LinkState>;
   scan: Scan | null;
   counters: Counters | null;
@@ -51,7 +56,10 @@ export class Swarm {
       heard: 0,
       pose: null,
       poseAt: 0,
-      trail: [],
+      trail: new Trail(),
+      run: null,
+      moved: null,
+      runs: [],
       links: new Map(),
       scan: null,
       counters: null,
@@ -72,12 +80,26 @@ export class Swarm {
       const robot = this.byId.get(pose.robot);
       if (!robot || (pose.robot !== from && this.own.has(pose.robot))) continue;
       if (pose.robot === from) this.own.add(from);
-      if (robot.pose && robot.pose.epoch !== pose.epoch) robot.trail = [];
+      if (robot.pose && robot.pose.epoch !== pose.epoch) robot.trail.clear();
       const moved = !robot.pose || robot.pose.at.some((v, i) => v !== pose.at[i]);
       // A robot that stands still is as well known as one that moves: what counts is what it said last.
       robot.pose = pose;
       robot.poseAt = now - 1e3 * pose.age;
-      if (moved) extend(robot.trail, pose.at);
+      if (moved) robot.trail.add(pose.at, robot.run?.epoch === pose.epoch ? robot.run.newest : 0);
+    }
+  }
+
+  /** Submaps as `from` knows them: trails move with those of the newest runs. Of whom is as with poses. */
+  submaps(from: number, runs: Run[]): void {
+    const teller = this.byId.get(from);
+    if (teller) teller.runs = runs;
+    for (const robot of this.robots) {
+      const run = newestOf(runs, robot.id);
+      if (!run || (robot.id !== from && this.own.has(robot.id))) continue;
+      const before = robot.run;
+      robot.run = run;
+      if (before?.epoch !== run.epoch) robot.moved = null;
+      else robot.moved = robot.trail.move(before, run) || robot.moved;
     }
   }
 
@@ -99,7 +121,8 @@ export class Swarm {
   jump(): void {
     this.own.clear();
     for (const robot of this.robots) {
-      robot.trail = [];
+      robot.trail.clear();
+      robot.moved = null;
       robot.scan = null;
     }
   }
@@ -111,18 +134,7 @@ export class Swarm {
   }
 }
 
-/** Adds a point; when there are too many, every second one of the older half goes. */
-function extend(trail: number[], [x, y, z]: [number, number, number]): void {
-  const n = trail.length;
-  if (n > 0 && Math.hypot(trail[n - 3]! - x, trail[n - 2]! - y, trail[n - 1]! - z) < TRAIL_STEP) return;
-  trail.push(x, y, z);
-  if (trail.length <= 3 * TRAIL_MAX) return;
-  let to = 0;
-  const half = 3 * Math.floor(TRAIL_MAX / 2);
-  for (let from = 0; from < trail.length; from += 3) {
-    if (from < half && (from / 3) % 2 === 1) continue;
-    for (let c = 0; c < 3; c++) trail[to + c] = trail[from + c]!;
-    to += 3;
-  }
-  trail.length = to;
+/** The run of a robot that began last: runs ascend. */
+function newestOf(runs: Run[], robot: number): Run | undefined {
+  return runs.filter((run) => run.robot === robot).at(-1);
 }

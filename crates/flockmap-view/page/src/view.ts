@@ -5,7 +5,7 @@ import { Bodies } from "./bodies";
 import { css, rgb } from "./colours";
 import { byId, write } from "./dom";
 import { clockTime, metres, rate, share } from "./format";
-import type { Playback } from "./feed";
+import type { Playback, Run } from "./feed";
 import { Ground } from "./ground";
 import { Labels, type Label } from "./labels";
 import { fail, tell } from "./notices";
@@ -64,6 +64,8 @@ class View {
   private behindSince = 0;
   private changedAt = 0;
   private paused = false;
+  /** Submaps that were told of while it was paused. */
+  private readonly held = new Map<number, Run[]>();
   private frozenAt = 0;
   private playback: Playback | null = null;
   /** The time that the players are told next. */
@@ -153,6 +155,11 @@ class View {
         this.dirty.trails = this.dirty.links = true;
         this.stage.request();
         break;
+      case "submaps":
+        // They are told of only when something has changed.
+        if (this.paused) this.held.set(message.robot, message.runs);
+        else this.hearSubmaps(message.robot, message.runs);
+        break;
       case "links":
         if (this.paused) break;
         this.swarm.links(message.robot, message.links, message.at);
@@ -174,6 +181,12 @@ class View {
         this.dirty.chart = true;
       }
     }
+  }
+
+  private hearSubmaps(robot: number, runs: Run[]): void {
+    this.swarm.submaps(robot, runs);
+    this.dirty.trails = true;
+    this.stage.request();
   }
 
   private hearMap(map: MapState, clock: number): void {
@@ -296,6 +309,10 @@ class View {
     byId("freeze").setAttribute("aria-pressed", String(this.paused));
     byId("freeze").setAttribute("aria-label", this.paused ? "Go on" : "Pause");
     this.say({ kind: "pause", paused: this.paused });
+    if (!this.paused) {
+      for (const [robot, runs] of this.held) this.hearSubmaps(robot, runs);
+      this.held.clear();
+    }
     this.tick();
   }
 
@@ -616,6 +633,7 @@ class View {
       paused: this.live ? this.paused : !this.playback?.plays,
       playback: this.playback,
       follows: this.followed,
+      trails: this.swarm.robots.map(({ trail, moved }) => ({ points: trail.points.length / 3, moved })),
     };
   }
 }

@@ -119,7 +119,7 @@ function stateOf(robot: number, connected: Connected): void {
 /** The feed with the map. Of a recording each connection counts the versions by itself, so it always begins anew. */
 function chosenFeed(robot: number): Connection {
   return new Connection(`${feeds}${robot}${query}`, {
-    flags: () => (origins ? feed.WANT_ORIGINS : 0) | feed.WANT_LINKS | (scans ? feed.WANT_SCANS : 0),
+    flags: () => (origins ? feed.WANT_ORIGINS : 0) | feed.WANT_LINKS | feed.WANT_SUBMAPS | (scans ? feed.WANT_SCANS : 0),
     have: () => (live ? mirror.have() : NOTHING),
     state: (connected) => stateOf(robot, connected),
     talks: () => live,
@@ -134,7 +134,7 @@ function chosenFeed(robot: number): Connection {
 /** The feed of another robot: without its map. */
 function lightFeed(robot: number): Connection {
   return new Connection(`${feeds}${robot}${query}`, {
-    flags: () => feed.WANT_NO_MAP | feed.WANT_LINKS | (scans ? feed.WANT_SCANS : 0),
+    flags: () => feed.WANT_NO_MAP | feed.WANT_LINKS | feed.WANT_SUBMAPS | (scans ? feed.WANT_SCANS : 0),
     have: () => NOTHING,
     state: (connected) => stateOf(robot, connected),
     talks: () => live,
@@ -151,6 +151,7 @@ function other(robot: number, kind: number, body: Uint8Array): void {
   else if (kind === 5) post({ kind: "counters", robot, counters: feed.readCounters(body) });
   else if (kind === 7) post({ kind: "links", robot, links: feed.readLinks(body), at: live ? Date.now() / 1e3 : times.get(robot) ?? NaN });
   else if (kind === 8) post({ kind: "scan", robot, scan: feed.readScan(body) });
+  else if (kind === 10) post({ kind: "submaps", robot, runs: feed.readSubmaps(body) });
   else if (kind === 9) {
     const playback = feed.readPlayback(body);
     times.set(robot, playback.at);

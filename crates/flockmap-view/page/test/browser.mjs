@@ -93,6 +93,7 @@ const parts = {
     await says(page, "#link-table", /robot2.*22 %.*3/);
     await says(page, "#f-missing", /3 of robot2/);
     await says(page, "#labels", /robot1/);
+    await says(page, "#f-submaps", /^2 of robot1; 2 of robot2; 2 of robot3$/);
     await shot(page, "wide-light-height");
 
     await page.getByRole("radio", { name: "Robot", exact: true }).check();
@@ -165,6 +166,24 @@ const parts = {
     await page.keyboard.press("c");
     await page.keyboard.press("c");
     await shot(page, "wide-dark-height");
+    await close();
+    mock.close();
+  },
+
+  async "a loop is closed: the way that was flown moves with its submap, after a pause too"() {
+    const mock = await start({ side: 160, robots: 2 });
+    const { page, close } = await open(mock);
+    await whole(page, (s) => s.trails[0].points > 5);
+    assert.equal((await state(page)).trails[0].moved, null);
+    mock.closeLoop(mock.robots[0], 1.5);
+    await says(page, "#f-submaps", /^2 of robot1, moved 1.50 m; 2 of robot2$/);
+    await shot(page, "loop-closed");
+    await page.getByRole("button", { name: "Pause" }).click();
+    mock.closeLoop(mock.robots[0], 0.5);
+    await page.waitForTimeout(700);
+    await says(page, "#f-submaps", /moved 1.50 m/);
+    await page.getByRole("button", { name: "Go on" }).click();
+    await says(page, "#f-submaps", /moved 1.00 m/);
     await close();
     mock.close();
   },

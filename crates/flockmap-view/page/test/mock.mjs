@@ -160,6 +160,19 @@ export async function start(options = {}) {
     return w.frame(8);
   }
 
+  /** Each robot has two submaps, the second of which lies otherwise after a loop was closed. */
+  function submaps() {
+    const w = new Writer().u16(robots.length);
+    for (const { id, epoch, lift } of robots) {
+      w.u16(id).u64(epoch).u16(1).u16(0).u16(2);
+      for (const [submap, z] of [[0, 0], [1, lift ?? 0]]) {
+        w.u16(submap);
+        for (const v of [0, 0, z, 0, 0, 0, 1]) w.f64(v);
+      }
+    }
+    return w.frame(10);
+  }
+
   function shownPlayback() {
     return new Writer().u64(zero).u64(zero + SECONDS * 1e6).u64(now()).f32(playback.speed).u8(playback.plays ? 1 : 0).frame(9);
   }
@@ -218,12 +231,13 @@ export async function start(options = {}) {
       const have = { feed: asked.readBigUInt64LE(11), upto: Number(asked.readBigUInt64LE(27)) };
       const map = (flags & 2) === 0;
       const goesOn = map && !playback && have.feed === BigInt(feedId) && have.upto > 0 && !(flags & 1);
-      client = { ws, robot, map, origins: (flags & 1) !== 0, links: (flags & 4) !== 0, scans: (flags & 8) !== 0, upto: goesOn ? have.upto : 0, index: goesOn ? have.upto : 0, first: true };
+      client = { ws, robot, map, origins: (flags & 1) !== 0, links: (flags & 4) !== 0, scans: (flags & 8) !== 0, submaps: (flags & 16) !== 0, upto: goesOn ? have.upto : 0, index: goesOn ? have.upto : 0, first: true };
       clients.add(client);
       const hello = new Writer().raw("FLKM").u8(1).u8((client.origins ? 1 : 0) | (goesOn ? 2 : 0)).u16(robot.id).u32(VOXEL * 1e6).u64(feedId).text(robot.name).text("map");
       send(client, hello.frame(1));
       if (map && !goesOn) send(client, new Writer().u64(limit()).frame(3));
       if (playback) send(client, shownPlayback());
+      if (client.submaps) send(client, submaps());
     });
     ws.on("close", () => clients.delete(client));
   }
@@ -323,6 +337,11 @@ export async function start(options = {}) {
     /** The node starts again: another feed. */
     restart: () => (feedId++, [...clients].forEach(({ ws }) => ws.terminate())),
     anew,
+    /** A loop of a robot is closed: its newest submap lies so much higher now. */
+    closeLoop: (robot, lift) => {
+      robot.lift = lift;
+      for (const client of clients) if (client.submaps) send(client, submaps());
+    },
     change: (x, y, z, state) => change(world.set(x, y, z, state)),
     close: () => {
       clearInterval(timer);

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Blocks, heightOfShare, ones } from "../src/blocks.ts";
-import { FeedError, helloBytes, readBlocks, readCounters, readHello, readPoses, Splitter } from "../src/feed.ts";
+import { FeedError, helloBytes, readBlocks, readCounters, readHello, readPoses, readSubmaps, Splitter } from "../src/feed.ts";
 import { cellPixels, choose, FACES_MAX, FACES_MIN, facesOf, Governor, NODES_MAX, shown, surplus } from "../src/lod.ts";
 import { mesh } from "../src/mesher.ts";
 import { Mirror } from "../src/mirror.ts";
@@ -11,7 +11,8 @@ import { outline } from "../src/outline.ts";
 import { Present } from "../src/present.ts";
 import { Series, sum } from "../src/series.ts";
 import { slice } from "../src/slice.ts";
-import { Swarm, TRAIL_MAX } from "../src/swarm.ts";
+import { Swarm } from "../src/swarm.ts";
+import { TRAIL_MAX } from "../src/trail.ts";
 import { Tree } from "../src/tree.ts";
 import { random } from "./world.mjs";
 
@@ -27,7 +28,12 @@ aa 00 00 00 02 05 00 00 00 00 00 00 00 05 00 00 00 00 00 00 00 00 40 1e 18 24 0a
 4e 00 00 00 04 01 00 07 00 03 00 00 00 00 00 00 00 00 00 00 00 00 00 f0 3f 00 00 00 00 00 00 00
 c0 00 00 00 00 00 00 e0 3f 01 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00
 00 00 00 00 00 00 00 00 f0 3f 60 e3 16 00 00 00 00 00
-1f 00 00 00 05 60 23 35 18 24 0a 06 00 01 00 0b 6e 6f 64 65 5f 66 72 61 6d 65 73 2c 01 00 00 00 00 00 00`;
+1f 00 00 00 05 60 23 35 18 24 0a 06 00 01 00 0b 6e 6f 64 65 5f 66 72 61 6d 65 73 2c 01 00 00 00 00 00 00
+87 00 00 00 0a 01 00 07 00 03 00 00 00 00 00 00 00 04 00 00 00 02 00 00 00 00 00 00 00 00 00 00
+00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00
+00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 f0 3f 02 00 00 00 00 00 00 00 00 00 00 00 00 00 00
+00 e0 3f 00 00 00 00 00 00 d0 bf 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00
+00 00 00 00 00 00 00 00 00 f0 3f`;
 const bytes = Uint8Array.from(EXAMPLE.trim().split(/\s+/), (hex) => parseInt(hex, 16));
 
 const newMirror = () => new Mirror(() => 9, (robot) => robot);
@@ -72,9 +78,14 @@ test("the example of the document, cut everywhere", () => {
           assert.deepEqual(pose, { robot: 7, epoch: "3", at: [1, -2, 0.5], turned: [0, 0, 0, 1], age: 1.5 });
         }
         if (kind === 5) assert.equal(readCounters(body).values.get("node_frames"), 300);
+        if (kind === 10) {
+          const turned = [0, 0, 0, 1];
+          const poses = [{ submap: 0, at: [0, 0, 0], turned }, { submap: 2, at: [0, 0.5, -0.25], turned }];
+          assert.deepEqual(readSubmaps(body), [{ robot: 7, epoch: "3", newest: 4, poses }]);
+        }
       });
     }
-    assert.deepEqual(kinds, [1, 3, 2, 4, 5]);
+    assert.deepEqual(kinds, [1, 3, 2, 4, 5, 10]);
     assert.equal(mirror.hello.name, "alpha");
     assert.deepEqual([mirror.blocks.count, mirror.blocks.occupied, mirror.blocks.free, mirror.complete], [1, 2, 2, true]);
     assert.deepEqual(mirror.have(), { feed: 0x1122334455667788n, anew: 5n, upto: 5n });
@@ -398,10 +409,80 @@ test("trails have a limit, and keep their first and last point", () => {
   const swarm = new Swarm([{ id: 1, name: "a" }]);
   for (let i = 0; i < 10_000; i++) swarm.poses(1, [{ robot: 1, epoch: "1", at: [i, 0, 0], turned: null, age: 0 }]);
   const { trail } = swarm.get(1);
-  assert.ok(trail.length <= 3 * TRAIL_MAX && trail.length > TRAIL_MAX);
-  assert.deepEqual([trail[0], trail.at(-3)], [0, 9_999]);
+  const { points } = trail;
+  assert.ok(points.length <= 3 * TRAIL_MAX && points.length > TRAIL_MAX);
+  assert.deepEqual([points[0], points.at(-3)], [0, 9_999]);
   swarm.poses(1, [{ robot: 1, epoch: "2", at: [0, 0, 0], turned: null, age: 0 }]);
-  assert.equal(swarm.get(1).trail.length, 3);
+  assert.equal(points.length, 3);
+});
+
+/** A run of robot 1 whose submaps lie so: numbers to places and turns about z. */
+function run(poses, epoch = "1") {
+  const list = Object.entries(poses).map(([submap, [x, y, yaw]]) => ({ submap: Number(submap), at: [x, y, 0], turned: [0, 0, Math.sin(yaw / 2), Math.cos(yaw / 2)] }));
+  return { robot: 1, epoch, newest: Math.max(...list.map(({ submap }) => submap)), poses: list };
+}
+
+test("a trail moves with the submaps in which it was flown, and with no others", () => {
+  const swarm = new Swarm([{ id: 1, name: "a" }, { id: 2, name: "b" }]);
+  const fly = (x) => swarm.poses(1, [{ robot: 1, epoch: "1", at: [x, 0, 0], turned: null, age: 0 }]);
+  swarm.submaps(1, [run({ 0: [0, 0, 0] })]);
+  fly(1);
+  // The second begins, and lies as the first does; the third lies otherwise from the beginning.
+  swarm.submaps(1, [{ ...run({ 0: [0, 0, 0] }), newest: 1 }]);
+  fly(2);
+  swarm.submaps(1, [run({ 0: [0, 0, 0], 2: [0, 1, 0] })]);
+  fly(3);
+  const robot = swarm.get(1);
+  assert.equal(robot.moved, null);
+  const near = (expected) => robot.trail.points.forEach((v, i) => assert.ok(Math.abs(v - expected[i]) < 1e-9, `${robot.trail.points}`));
+  near([1, 0, 0, 2, 0, 0, 3, 0, 0]);
+
+  // A quarter turn of the second about the zero of the map, and of the third about where it lies.
+  swarm.submaps(1, [run({ 0: [0, 0, 0], 1: [0, 0, Math.PI / 2], 2: [0, 1, Math.PI / 2] })]);
+  near([1, 0, 0, 0, 2, 0, 1, 4, 0]);
+  assert.ok(Math.abs(robot.moved - Math.hypot(2, 4)) < 1e-9);
+  // As they were: nothing is lost on the way.
+  swarm.submaps(1, [run({ 0: [0, 0, 0], 2: [0, 1, 0] })]);
+  near([1, 0, 0, 2, 0, 0, 3, 0, 0]);
+  // Another robot knows it otherwise, and it says itself how it lies.
+  swarm.submaps(2, [run({ 0: [9, 9, 0] })]);
+  near([1, 0, 0, 2, 0, 0, 3, 0, 0]);
+  assert.equal(swarm.get(2).runs.length, 1);
+  // Another run has nothing to do with this one.
+  swarm.submaps(1, [run({ 0: [5, 0, 0] }, "2")]);
+  near([1, 0, 0, 2, 0, 0, 3, 0, 0]);
+  assert.equal(robot.moved, null);
+});
+
+test("a trail that was thinned still knows its submaps", () => {
+  const swarm = new Swarm([{ id: 1, name: "a" }]);
+  for (let i = 0; i < 4 * TRAIL_MAX; i++) {
+    swarm.submaps(1, [{ ...run({ 0: [0, 0, 0] }), newest: Math.floor(i / 100) }]);
+    swarm.poses(1, [{ robot: 1, epoch: "1", at: [i, 0, 0], turned: null, age: 0 }]);
+  }
+  swarm.submaps(1, [{ ...run({ 0: [0, 0, 0], 40: [0, 1, 0], 41: [0, 0, 0] }), newest: 59 }]);
+  const { points } = swarm.get(1).trail;
+  let moved = 0;
+  for (let i = 0; i < points.length; i += 3) {
+    const inside = points[i] >= 4_000 && points[i] < 4_100;
+    assert.equal(points[i + 1], inside ? 1 : 0, `at ${points[i]}`);
+    moved += inside;
+  }
+  assert.ok(moved > 0);
+});
+
+test("submaps that are none are refused", () => {
+  const body = bytes.subarray(bytes.length - 134);
+  assert.equal(readSubmaps(body).length, 1);
+  const damaged = (at, put) => {
+    const copy = body.slice();
+    put(new DataView(copy.buffer), at);
+    return copy;
+  };
+  assert.throws(() => readSubmaps(damaged(20, (view, at) => view.setFloat64(at, NaN, true))), FeedError);
+  assert.throws(() => readSubmaps(damaged(68, (view, at) => view.setFloat64(at, 2, true))), FeedError);
+  assert.throws(() => readSubmaps(damaged(16, (view, at) => view.setUint16(at, 9_000, true))), FeedError);
+  assert.throws(() => readSubmaps(body.subarray(0, 100)), FeedError);
 });
 
 test("players are told the same time, and one that begins is brought to it", () => {

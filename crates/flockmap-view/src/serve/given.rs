@@ -4,7 +4,9 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 
-use flockmap_feed::{Block, Link, Message, NodeCounts, Playback, ReaderHello, RobotPose, SeenScan};
+use flockmap_feed::{
+    Block, Link, Message, NodeCounts, Playback, ReaderHello, RobotPose, RunSubmaps, SeenScan,
+};
 use flockmap_grid::{BlockIndex, MapView, Resolution, RobotId, Stamp};
 
 /// What the hello says.
@@ -37,17 +39,27 @@ pub struct Given {
     pub links: Numbered<Vec<Link>>,
     /// What the sensor saw; while there are readers that want it.
     pub scan: Numbered<Option<SeenScan>>,
+    /// How submaps lie in this map; while there are readers that want it.
+    pub submaps: Numbered<Vec<RunSubmaps>>,
     /// Of a recording: which time of it this is.
     pub playback: Numbered<Option<Playback>>,
 }
 
 impl Given {
+    /// A frame of how submaps lie, if that is new. It goes before the blocks of this map: a reader that has all of them has
+    /// a map that lies so.
+    pub(crate) fn before_the_map(&self, hello: &ReaderHello, sent: &mut Sent) -> Vec<u8> {
+        let is_new = sent.submaps != self.submaps.number && hello.submaps;
+        sent.submaps = self.submaps.number;
+        if is_new { Message::Submaps(self.submaps.value.to_vec()).emit() } else { Vec::new() }
+    }
+
     /// Frames of what is new beside the map, for a reader that has been sent things with these numbers.
     pub(crate) fn beside_the_map(&self, hello: &ReaderHello, sent: &mut Sent) -> Vec<u8> {
         let Self { poses, counts, links, scan, playback, .. } = self;
         let numbers = [playback.number, poses.number, counts.number, links.number, scan.number];
-        let is_new: [bool; 5] = core::array::from_fn(|of| numbers[of] != sent[of]);
-        *sent = numbers;
+        let is_new: [bool; 5] = core::array::from_fn(|of| numbers[of] != sent.beside[of]);
+        sent.beside = numbers;
         let messages = [
             playback.value.filter(|_| is_new[0]).map(Message::Playback),
             is_new[1].then(|| Message::Poses(poses.value.to_vec())),
@@ -60,7 +72,11 @@ impl Given {
 }
 
 /// The numbers of what a reader was sent last.
-pub(crate) type Sent = [u64; 5];
+#[derive(Default)]
+pub(crate) struct Sent {
+    submaps: u64,
+    beside: [u64; 5],
+}
 
 /// Something that is sent again when its number is another. That of the default is 0: it is not sent.
 #[derive(Clone, Debug, Default)]
@@ -75,16 +91,23 @@ impl<T> Numbered<T> {
         self.number
     }
 
+    /// What is given out.
+    pub fn value(&self) -> &T {
+        &self.value
+    }
+
     /// Something else is given out from now on.
     pub fn replace(&mut self, value: T) {
         self.number += 1;
         self.value = Arc::new(value);
     }
 
-    /// The same with something that is there already.
+    /// The same with something that is there already. What is given out now is not given once more.
     pub fn share(&mut self, value: Arc<T>) {
-        self.number += 1;
-        self.value = value;
+        if !Arc::ptr_eq(&self.value, &value) {
+            self.number += 1;
+            self.value = value;
+        }
     }
 }
 

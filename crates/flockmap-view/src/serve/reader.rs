@@ -105,24 +105,23 @@ impl Reader {
                 self.write(from, to, &Message::Hello(hello).emit()).await?;
                 continue;
             };
-            let mut frames = Vec::new();
+            let mut frames = given.before_the_map(hello, &mut sent);
             let next = if hello.no_map { Next::Nothing } else { feed.next(&given.map) };
             match next {
                 Next::Nothing => {}
-                Next::Anew(frame) => frames = frame,
+                Next::Anew(frame) => frames.extend(frame),
                 Next::Blocks if feed.origins() => {
                     let (version, stamp) = (given.map.version(), given.stamp);
                     drop(given);
-                    let frame = self.blocks_with_origins(feed, version, stamp).await?;
-                    self.write(from, to, &frame).await?;
+                    frames.extend(self.blocks_with_origins(feed, version, stamp).await?);
+                    self.write(from, to, &frames).await?;
                     continue;
                 }
-                Next::Blocks => frames = feed.blocks_of(&given.map, given.stamp),
+                Next::Blocks => frames.extend(feed.blocks_of(&given.map, given.stamp)),
             }
-            let is_complete = frames.is_empty();
             frames.extend(given.beside_the_map(hello, &mut sent));
             drop(given);
-            if frames.is_empty() && is_complete {
+            if frames.is_empty() {
                 self.wait(from, to).await?;
             } else {
                 self.write(from, to, &frames).await?;
@@ -238,8 +237,8 @@ async fn read_nothing(from: &mut ReadHalf<Box<dyn Connection>>) -> Closed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flockmap_feed::{Event, Mirror};
-    use flockmap_grid::{MapView, Resolution, RobotId, State, StateBlock};
+    use flockmap_feed::{Event, Mirror, MirrorOptions, RunSubmaps};
+    use flockmap_grid::{MapView, Resolution, RobotId, State, StateBlock, Stream, SubmapId};
     use tokio::io::{DuplexStream, duplex};
     use tokio::time::Instant;
 
@@ -266,8 +265,8 @@ mod tests {
     }
 
     fn given(map: MapView) -> Option<Arc<Given>> {
-        let (poses, counts, links, scan, playback) = Default::default();
-        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts, links, scan, playback }))
+        let (poses, counts, links, scan, submaps, playback) = Default::default();
+        Some(Arc::new(Given { map, stamp: Stamp(1), poses, counts, links, scan, submaps, playback }))
     }
 
     /// Time stands still but for what a test waits for.
@@ -332,6 +331,41 @@ mod tests {
             assert_eq!(events.last(), Some(&Event::End), "{events:?}");
             assert_eq!(mirror.map().unwrap().count(), (0, 900));
             assert!(mirror.is_complete() && matches!(task.await.unwrap(), Closed::Gone));
+        });
+    }
+
+    #[test]
+    fn a_map_that_has_come_as_a_whole_lies_as_the_submaps_that_were_told_last() {
+        with_reader(1, |mut ours, task, give| async move {
+            let options = MirrorOptions { submaps: true, ..MirrorOptions::default() };
+            let mut mirror = Mirror::new(options);
+            ours.write_all(&mirror.connect()).await.unwrap();
+            let mut submaps = super::super::given::Numbered::default();
+            // As many submaps as a hundredth of the blocks: the two change together.
+            for count in [700, 1_500, 2_100] {
+                let newest = SubmapId::new(count / 100).unwrap();
+                let stream = Stream { origin: RobotId(1), epoch: 1 };
+                submaps.replace(vec![RunSubmaps { stream, newest, poses: Vec::new(), left_out: 0 }]);
+                let mut given = Arc::into_inner(given(map(i32::from(count))).unwrap()).unwrap();
+                given.submaps = submaps.clone();
+                give.send_replace(Some(Arc::new(given)));
+                let is_whole =
+                    |mirror: &Mirror| mirror.is_complete() && mirror.map().unwrap().count().1 >= 700;
+                let mut bytes = [0; 1_000];
+                while !is_whole(&mirror) || mirror.map().unwrap().count() != (0, count.into()) {
+                    let read = ours.read(&mut bytes).await.unwrap();
+                    let mut rest = &bytes[..read];
+                    while let Some(event) = mirror.push(&mut rest).unwrap() {
+                        // Submaps come first.
+                        if matches!(event, Event::Blocks(_)) && is_whole(&mirror) {
+                            let blocks = mirror.map().unwrap().count().1;
+                            assert_eq!(mirror.submaps()[0].newest.number() as usize, blocks / 100);
+                        }
+                    }
+                }
+            }
+            drop((give, ours));
+            task.await.unwrap();
         });
     }
 }

@@ -8,10 +8,11 @@ use flockmap_feed::ReaderHello;
 /// Readers that there are, and what became of others.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// Readers that have said hello; and of these, that want links, and scans.
+    /// Readers that have said hello; and of these, that want links, scans, and submaps.
     readers: AtomicUsize,
     links: AtomicUsize,
     scans: AtomicUsize,
+    submaps: AtomicUsize,
     refused: AtomicU64,
     closed: AtomicU64,
     bytes_out: AtomicU64,
@@ -37,6 +38,11 @@ impl Tally {
     /// Whether any of them wants scans.
     pub fn wants_scans(&self) -> bool {
         self.scans.load(Ordering::Acquire) > 0
+    }
+
+    /// Whether any of them wants submaps.
+    pub fn wants_submaps(&self) -> bool {
+        self.submaps.load(Ordering::Acquire) > 0
     }
 
     /// A connection was not served.
@@ -67,7 +73,12 @@ impl Tally {
 
     /// Where a reader counts.
     fn of(&self, hello: &ReaderHello) -> impl Iterator<Item = &AtomicUsize> {
-        let counts = [(true, &self.readers), (hello.links, &self.links), (hello.scans, &self.scans)];
+        let counts = [
+            (true, &self.readers),
+            (hello.links, &self.links),
+            (hello.scans, &self.scans),
+            (hello.submaps, &self.submaps),
+        ];
         counts.into_iter().filter(|(is_wanted, _)| *is_wanted).map(|(_, count)| count)
     }
 }
