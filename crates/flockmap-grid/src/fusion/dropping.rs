@@ -52,12 +52,6 @@ impl Fusion {
                 result => return result,
             }
             let worst = self.worst(is_own, now).map(|candidate| candidate.rank);
-            let is_record = |(index, _): &(BlockIndex, _)| is_kept(cube_of(*index));
-            if worst.is_none() && parts.iter().all(|(_, part)| part.blocks().iter().all(is_record)) {
-                // What is said of submaps is never left out, and there is nothing else that could go.
-                return self.check_room(mapper, stream, parts.iter().map(|(_, part)| part), sensors);
-            }
-            let worst = worst.unwrap_or(0);
             if !self.leave_out(mapper, stream, parts, worst, now)
                 && let Some(Candidate { stream, at, .. }) = self.dropping.next[usize::from(is_own)].pop()
             {
@@ -72,13 +66,14 @@ impl Fusion {
         }
     }
 
-    /// Leaves out of parts what is not worth that something of this rank is dropped for it. Whether that is any.
+    /// Leaves out of parts what is not worth that something of this rank is dropped for it; where nothing is left that
+    /// could go, everything, also what is said of submaps. Whether that is any.
     fn leave_out(
         &mut self,
         mapper: &Mapper,
         stream: Stream,
         parts: &mut Vec<(Stamp, Changes)>,
-        worst: u64,
+        worst: Option<u64>,
         now: Stamp,
     ) -> bool {
         // With what is there of its cube it goes or stays.
@@ -90,7 +85,9 @@ impl Fusion {
         for (stamp, part) in parts.iter_mut() {
             let is_out = |index: BlockIndex| {
                 let at = cube_of(index);
-                !is_kept(at) && self.rank(stream, at, newest(self, at, *stamp), now) >= worst
+                worst.is_none_or(|worst| {
+                    !is_kept(at) && self.rank(stream, at, newest(self, at, *stamp), now) >= worst
+                })
             };
             let (out, stay): (Vec<_>, Vec<_>) = part.blocks().iter().partition(|(index, _)| is_out(*index));
             if !out.is_empty() {

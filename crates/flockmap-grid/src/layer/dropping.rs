@@ -5,8 +5,8 @@ use super::dropped::Dropped;
 use super::{Layer, Place};
 use crate::{BlockIndex, Plane, Sheet, Stamp};
 
-/// Whether nothing of a cube is ever dropped: what a stream says of its submaps, on which the place of all else depends.
-/// It is little.
+/// Whether a cube is never dropped for others: what a stream says of its submaps, on which the place of all else depends.
+/// It is little. Where there is no room for it either, it is refused.
 pub(crate) const fn is_kept(at: BlockIndex) -> bool {
     Sheet::of(first_of(at)).is_none()
 }
@@ -26,7 +26,7 @@ impl Layer {
 
     /// Up to which stamp something may be lacking in a cube.
     pub(super) fn limit_of(&self, at: BlockIndex) -> Option<Stamp> {
-        self.dropped.newest.filter(|_| !is_kept(at))?;
+        self.dropped.newest?;
         self.dropped.limit(at, self.cubes.contains_key(&at))
     }
 

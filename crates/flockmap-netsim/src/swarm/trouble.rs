@@ -73,10 +73,7 @@ impl Trouble {
         };
         let has_small_layers = Random::new(options.seed, purpose::CAPS).happens(CAPS) && !options.is_calm;
         let has_pieces = Random::new(options.seed, purpose::PIECES).happens(PIECES) && !options.is_calm;
-        // What is said of submaps is never dropped: a layer that has no room for that can take nothing.
-        let has_submaps = Random::new(options.seed, purpose::SUBMAPS).happens(SUBMAPS)
-            && !options.is_calm
-            && !has_small_layers;
+        let has_submaps = Random::new(options.seed, purpose::SUBMAPS).happens(SUBMAPS) && !options.is_calm;
         let crowd = Crowd::draw(options.seed, CROWD).filter(|_| !options.is_calm && options.radio.is_none());
         let mut random = Random::new(options.seed, purpose::FIELD);
         // Seldom hundreds.
