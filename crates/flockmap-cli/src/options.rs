@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use flockmap::grid::{MapperConfig, Preset};
 use flockmap::sync::BYTES_PER_S_MIN;
-use flockmap::{FusionConfig, BatchConfig, Codec, Resolution, RobotConfig, RobotId};
+use flockmap::{BatchConfig, Codec, FusionConfig, Resolution, RobotConfig, RobotId};
 use flockmap_worlds::{Lidar, OptionError, Rendering};
 use serde::de::{DeserializeOwned, IntoDeserializer as _};
 

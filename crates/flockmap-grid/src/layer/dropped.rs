@@ -2,7 +2,6 @@
 
 use rustc_hash::FxHashMap;
 
-use super::dropping::is_kept;
 use crate::memory::table_bytes;
 use crate::{BlockIndex, Stamp};
 
@@ -20,8 +19,7 @@ const CUBE_BYTES: usize = size_of::<(BlockIndex, Stamp)>();
 pub(super) struct Dropped {
     /// The limit of each cube of which that is remembered, also of those that are there again.
     pub(super) cubes: FxHashMap<BlockIndex, Stamp>,
-    /// The limit of all cubes that are not there, at least; but for those that are dropped last, of which it is remembered
-    /// one by one.
+    /// The limit of all cubes that are not there, at least.
     pub(super) floor: Option<Stamp>,
     pub(super) newest: Option<Stamp>,
     /// How often something was noted since it was looked last whether there are too many cubes.
@@ -31,7 +29,7 @@ pub(super) struct Dropped {
 impl Dropped {
     /// The limit of a cube that is there, or not.
     pub(super) fn limit(&self, at: BlockIndex, is_there: bool) -> Option<Stamp> {
-        let floor = self.floor.filter(|_| !is_there && !is_kept(at));
+        let floor = self.floor.filter(|_| !is_there);
         self.cubes.get(&at).copied().max(floor)
     }
 
@@ -56,15 +54,14 @@ impl Dropped {
             return;
         }
         self.noted = 0;
-        let stays = |at: &BlockIndex| is_there(at) || is_kept(*at);
         let mut gone: Vec<Stamp> =
-            self.cubes.iter().filter(|(at, _)| !stays(at)).map(|(_, limit)| *limit).collect();
+            self.cubes.iter().filter(|(at, _)| !is_there(at)).map(|(_, limit)| *limit).collect();
         if gone.len() <= CUBES_MAX {
             return;
         }
         let half = gone.len() / 2;
         let floor = Some(*gone.select_nth_unstable(half).1).max(self.floor);
-        self.cubes.retain(|at, limit| stays(at) || Some(*limit) > floor);
+        self.cubes.retain(|at, limit| is_there(at) || Some(*limit) > floor);
         self.floor = floor;
     }
 

@@ -57,14 +57,13 @@ impl Layer {
     pub(crate) fn begin_part(&mut self, lost_upto: Stamp) -> Vec<(BlockIndex, Plane)> {
         let known: Vec<_> = self.blocks().map(|(index, states)| (index, states.known())).collect();
         let newer = self.snapshot_since(lost_upto);
-        let kept = self.read_cubes(None, |at, _| is_kept(at)).finish();
         self.left_in_copies += self.cubes.values().map(Place::bytes_in_copies).sum::<u64>();
         let mut dropped = core::mem::take(&mut self.dropped);
         dropped.floor = dropped.floor.max(Some(lost_upto));
         dropped.newest = dropped.newest.max(Some(lost_upto));
         let Self { newest, ignored, left_in_copies, .. } = *self;
         *self = Self { dropped, newest, ignored, left_in_copies, ..Self::new(&self.unpacked) };
-        for state in newer.into_iter().chain(kept.map(|kept| kept.to_state())) {
+        if let Some(state) = newer {
             self.apply_rest(&state);
         }
         known
