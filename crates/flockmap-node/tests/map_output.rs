@@ -12,7 +12,7 @@ use std::time::Duration;
 use common::{PATIENCE, config, corridor, frames, loopback, new_dir, swarm, wait_until};
 use flockmap::{MapView, State, Voxel};
 use flockmap_feed::{Address, Client, ClientError, Event, Mirror, MirrorOptions, ReaderHello};
-use flockmap_node::{MapOutput, Node, NodeHandle, NodeOptions, Sensor, UdpSockets};
+use flockmap_node::{MapOutput, Node, NodeHandle, NodeOptions, Sensor, SubmapPoses, UdpSockets};
 
 fn output(folder: &Path) -> MapOutput {
     let unix = Some((folder.join("map.sock"), 0o600));
@@ -25,7 +25,13 @@ fn start(robots: usize, scans: usize, output: MapOutput) -> Vec<NodeHandle> {
     let start = |(k, sockets): (usize, UdpSockets)| {
         let id = k as u16 + 1;
         let frames = frames(corridor(id, scans));
-        let sensor = Sensor::Play { frames, speed: 4.0, skip: Duration::ZERO, begin: None };
+        let sensor = Sensor::Play {
+            frames,
+            submaps: SubmapPoses::default(),
+            speed: 4.0,
+            skip: Duration::ZERO,
+            begin: None,
+        };
         let options = NodeOptions { sensor, map_output: output.take(), ..NodeOptions::new(config(id)) };
         Node::start(options, move || sockets.into_transport()).unwrap()
     };
