@@ -155,6 +155,24 @@ fn a_list_that_is_none_is_left_out_with_its_message_and_byte() {
 }
 
 #[test]
+fn a_list_with_any_byte_changed_is_left_out_or_says_poses() {
+    let whole = list(stamp(2), &[at(0.5), Pose::from_yaw([1.0, 2.0, 3.0], 0.5)]);
+    for place in 0..whole.len() {
+        for change in [0x01, 0x80, 0xff] {
+            let mut message = whole.clone();
+            message[place] ^= change;
+            let record = opened(&of_slam(&[(1, message)]), Some("/slam/submaps")).unwrap();
+            let numbers: Vec<u16> = record.submaps.iter().map(|pose| pose.submap.number()).collect();
+            let damages = record.summary.damages.len();
+            let is_taken = damages == 0 && [&[][..], &[0], &[0, 1]].contains(&&numbers[..]);
+            assert!(is_taken || (damages == 1 && numbers.is_empty()), "byte {place}: {numbers:?}");
+            let are_poses = record.submaps.iter().all(|p| p.t_map_submap.rounded() == Ok(p.t_map_submap));
+            assert!(are_poses, "byte {place}");
+        }
+    }
+}
+
+#[test]
 fn as_many_submaps_as_a_run_may_have_are_read() {
     let all: Vec<Pose> = (0..SubmapId::COUNT).map(|number| at(number as f64 * 0.5)).collect();
     let record = opened(&of_slam(&[(1, list(stamp(2), &all))]), Some("/slam/submaps")).unwrap();
