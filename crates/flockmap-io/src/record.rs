@@ -22,9 +22,9 @@ pub struct RecordOptions {
     /// Frame in which poses are wanted, in an MCAP file. Default: the parent frame of the odometry, or else
     /// the root of tf.
     pub map_frame: Option<String>,
-    /// Topic of `geometry_msgs/msg/PoseArray` in an MCAP with `T_map_submap` of each submap of the robot, in their order,
-    /// at most 4,096: where a list has more than the one before, more submaps begin. Default: none, since such lists
-    /// may be anything.
+    /// Topic of `geometry_msgs/msg/PoseArray` in an MCAP with `T_map_submap` of each submap of the robot, in
+    /// their order, at most 4,096: where a list has more than the one before, more submaps begin. Default: none,
+    /// since such lists may be anything.
     pub submaps_topic: Option<String>,
     /// Pose file of a folder, in KITTI's form. Default: `optimized_poses.txt`, `odom_poses.txt` or
     /// `poses.txt` in it.

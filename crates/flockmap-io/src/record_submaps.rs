@@ -63,8 +63,8 @@ impl SubmapPoses {
         Self { poses: of_run.collect() }
     }
 
-    /// The same for a run that ends before the record does: submaps that begin later are left out, and what is said later
-    /// of the others is said right behind its end.
+    /// The same for a run that ends before the record does: submaps that begin later are left out, and what is said
+    /// later of the others is said right behind its end.
     #[must_use]
     pub fn ended_at(mut self, last: Stamp) -> Self {
         let until = self.poses.iter().filter(|pose| pose.stamp <= last);
@@ -97,9 +97,9 @@ pub(crate) struct SubmapLists {
 }
 
 impl SubmapLists {
-    /// Takes the poses of all submaps, at most [`SubmapId::COUNT`], as they are from a time on. A list may say less than
-    /// the one before; one with an earlier stamp counts from that of the one before, as it came after it. `beside`
-    /// so many poses of other things there is room for `most`.
+    /// Takes the poses of all submaps, at most [`SubmapId::COUNT`], as they are from a time on. A list may say less
+    /// than the one before; one with an earlier stamp counts from that of the one before, as it came after it. There
+    /// is room for `most` poses, with those of other things `beside` them.
     pub(crate) fn take(
         &mut self,
         stamp: Stamp,

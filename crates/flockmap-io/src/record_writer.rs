@@ -103,8 +103,8 @@ impl<W: Write + Seek> RecordWriter<W> {
         Ok(())
     }
 
-    /// Writes `T_map_submap` of all submaps of the robot, in their order, as they are from now on: before the scan of the
-    /// same stamp, which may be written after it only. Where there are more than the last time, more begin; at most
+    /// Writes `T_map_submap` of all submaps of the robot, in their order, as they are from now on: before the scan of
+    /// the same stamp, wherever that is written. Where there are more than the last time, more begin; at most
     /// [`SubmapId::COUNT`](flockmap_grid::SubmapId::COUNT). Reading them back takes
     /// [`RecordOptions::submaps_topic`](crate::RecordOptions::submaps_topic).
     pub fn write_submaps(&mut self, now: Stamp, t_map_submaps: &[Pose]) -> Result<(), WriteError> {

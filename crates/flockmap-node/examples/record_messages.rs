@@ -1,6 +1,6 @@
 //! Writes the scans of a record to stdout as messages of kind 1 of `docs/sensor-input.md`, with stamp 0: what a
-//! program of any language can read scans and poses from, or `nc` can feed to a node. With the topic of the poses of its
-//! submaps (`docs/submaps.md`) also messages of kind 6 and 7, before the scans that they count for.
+//! program of any language can read scans and poses from, or `nc` can feed to a node. With the topic of the poses of
+//! its submaps (`docs/submaps.md`) also messages of kind 6 and 7, before the scans that they count for.
 //!
 //! usage: `record_messages RECORD [SUBMAPS_TOPIC] > scans.bin`
 

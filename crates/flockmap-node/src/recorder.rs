@@ -100,8 +100,9 @@ impl Recorder {
         }
     }
 
-    /// Records how the submaps of the robot lie from a time on, if scans are wanted and submaps began or were moved. To
-    /// be called before the scan that was taken in so, for which a list that has no room now is tried again. Never waits.
+    /// Records how the submaps of the robot lie from a time on, if scans are wanted and submaps began or were moved.
+    /// To be called before the scan that was taken in so. A list that has no room is tried again at the next one.
+    /// Never waits.
     pub(crate) fn note_submaps(&mut self, now: Stamp, robot: &Robot) {
         let counters = robot.counters();
         let changes = counters.submaps_begun + counters.submap_poses;

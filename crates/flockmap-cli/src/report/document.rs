@@ -267,7 +267,7 @@ impl Report {
         let submaps = match [sum(|r| r.submaps_begun), sum(|r| r.submap_poses)] {
             [0, 0] => String::new(),
             [begun, moved] => format!(
-                " Submaps: {} begun beside the first of each robot, {} times one was moved; packages of {} bytes say so.",
+                " Submaps: {} begun beside the first of each robot, moved {} times; packages of {} bytes say so.",
                 thousands(begun),
                 thousands(moved),
                 thousands(sum(|r| r.submap_package_bytes))
