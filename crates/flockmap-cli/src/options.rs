@@ -135,6 +135,9 @@ pub struct SourceArgs {
     /// odometry, or root of tf]
     #[arg(long, value_name = "FRAME", help_heading = "Records")]
     pub map_frame: Vec<String>,
+    /// Topics of the poses of submaps. Commands that play them have the option.
+    #[arg(skip)]
+    pub submaps_topic: Vec<String>,
 }
 
 impl Default for SourceArgs {

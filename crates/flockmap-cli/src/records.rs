@@ -32,14 +32,17 @@ pub fn records(paths: &[PathBuf], source: &SourceArgs) -> anyhow::Result<Vec<Rob
     // Robots of one record have poses of their own.
     let odometry = bags("--odometry-topic", are_others).for_each(&source.odometry_topic, &have_topics)?;
     let map_frames = bags("--map-frame", true).for_each(&source.map_frame, &have_topics)?;
+    let submaps = bags("--submaps-topic", are_others).for_each(&source.submaps_topic, &have_topics)?;
     let poses = folders("--poses", false).for_each(&source.poses, &are_folders)?;
     let periods = folders("--scan-period", true).for_each(&source.scan_period, &are_folders)?;
-    let options = points.into_iter().zip(odometry).zip(map_frames).zip(poses).zip(periods);
-    let records = paths.iter().zip(options).map(|(path, ((((points, odometry), map), poses), period))| {
+    let options = points.into_iter().zip(odometry).zip(map_frames).zip(submaps).zip(poses).zip(periods);
+    let records = paths.iter().zip(options).map(|(path, options)| {
+        let (((((points, odometry), map), submaps), poses), period) = options;
         let options = RecordOptions {
             points_topic: points,
             odometry_topic: odometry,
             map_frame: map,
+            submaps_topic: submaps,
             poses,
             scan_period_s: period,
             ..RecordOptions::default()
@@ -191,7 +194,8 @@ mod tests {
             ..Default::default()
         };
         let frames = flockmap_io::Frames::new(std::iter::empty());
-        Record { name: name.to_owned(), files: Vec::new(), summary, poses: Vec::new(), frames }
+        let (files, poses, submaps) = Default::default();
+        Record { name: name.to_owned(), files, summary, poses, submaps, frames }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::{Context, bail, ensure};
 use flockmap::{Pose, Scan, Sphere, Stamp};
-use flockmap_io::Record;
+use flockmap_io::{Record, SubmapPoses};
 use flockmap_worlds::{
     Flight, ObstacleOptions, ScanOptions, Shape, Tracks, Trajectory, TrajectoryOptions, World,
 };
@@ -44,6 +44,8 @@ pub struct Source {
 pub struct Frames {
     receiver: Receiver<anyhow::Result<Frame>>,
     next: Option<Frame>,
+    /// How submaps lie, as far as it is to be said yet.
+    pub submaps: SubmapPoses,
     /// Scans that could not be read. They are left out.
     pub damaged: u64,
 }
@@ -57,7 +59,7 @@ impl Frames {
         let (sender, receiver) = sync_channel(FRAMES_AHEAD);
         // Until nobody wants one more.
         std::thread::spawn(move || frames.all(|frame| sender.send(frame).is_ok()));
-        Self { receiver, next: None, damaged: 0 }
+        Self { receiver, next: None, submaps: SubmapPoses::default(), damaged: 0 }
     }
 
     /// Stamp of the next frame, `None` at the end.
@@ -246,8 +248,10 @@ fn open_spanned(from: &RobotRecord, source: &SourceArgs) -> anyhow::Result<(Reco
     let Some((first, last)) = record.summary.span else {
         bail!("{}: no scan with a pose", from.path.display())
     };
-    let last = source.seconds.map_or(last, |s| last.min(first.plus_micros((s * 1e6) as i64)));
-    Ok((record, [first, last]))
+    let Some(seconds) = source.seconds else { return Ok((record, [first, last])) };
+    let last = last.min(first.plus_micros((seconds * 1e6) as i64));
+    let submaps = record.submaps.until(last);
+    Ok((Record { submaps, ..record }, [first, last]))
 }
 
 /// Says what of a record cannot be read.
@@ -258,7 +262,7 @@ fn warn_of_damages(record: &Record) {
 }
 
 /// The frames of a record from one time to another, both included, with stamps that count from `zero`. The
-/// robot is one of a team.
+/// robot is one of a team. What the record says of its submaps later is said at the end.
 pub fn part(
     record: Record,
     name: String,
@@ -268,6 +272,10 @@ pub fn part(
 ) -> Source {
     let (first, last) = record.summary.span.unwrap_or((from, until));
     let share = until.micros_since(from) as f64 / last.micros_since(first).max(1) as f64;
+    // Whoever begins between two scans begins with the second.
+    let begins = record.poses.iter().map(|(stamp, _)| *stamp).find(|stamp| *stamp >= from);
+    let submaps = record.submaps.ended_at(until).begun_at(begins.unwrap_or(from));
+    let submaps = submaps.at(|stamp| Stamp(stamp.micros_since(zero)));
     let frames = record
         .frames
         // A damaged scan belongs to the part that is being read, so it is counted once.
@@ -283,7 +291,7 @@ pub fn part(
         name,
         frames_expected: (record.summary.frames as f64 * share).ceil() as u64,
         seconds_expected: until.micros_since(from) as f64 / 1e6,
-        frames: Frames::new(frames),
+        frames: Frames { submaps, ..Frames::new(frames) },
     }
 }
 

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use anyhow::Context;
-use flockmap::{Event, Robot, RobotConfig, RobotId, Stamp, Stream};
+use flockmap::{Event, Robot, RobotConfig, RobotId, Stamp, Stream, SubmapId};
+use flockmap_io::SubmapPose;
 use flockmap_netsim::{Datagram, Delivery, Network, RadioConfig, Watch};
 
 use crate::flight::Flight;
@@ -43,7 +44,7 @@ pub fn run_recorded(
     let ids = flight.network.ids().to_vec();
     while let Some(next) = flight.next_scan() {
         flight.network.step(Some(next), &mut meters);
-        flight.scan_due(|robot, number, now, frame| {
+        flight.take_due(set_submap, |robot, number, now, frame| {
             let inserted = meters.scan(robot, number, &ids, now, &frame);
             inserted.with_context(|| format!("a scan of robot {}", number + 1))
         })?;
@@ -59,7 +60,9 @@ pub fn run_recorded(
     }
     flight.progress.say("repairs".to_owned());
     let last_scan = flight.last_scan;
-    let arrived = flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, has_everything);
+    let arrived = flight.settle(last_scan.plus_micros(SETTLE_MICROS_MAX), &mut meters, |robots| {
+        has_everything(robots) && shows_submaps(robots)
+    });
     let Flight { network, frames, .. } = flight;
     for (number, recorder) in recorders.into_iter().enumerate() {
         recorder.finish(network.now(), &network.nodes()[number], &meters.measures[number]);
@@ -78,6 +81,18 @@ fn record(recorders: &mut [Recorder], network: &Network<Robot>, meters: &Meters)
     for ((recorder, robot), measures) in recorders.iter_mut().zip(network.nodes()).zip(&meters.measures) {
         recorder.note(network.now(), robot, measures);
     }
+}
+
+/// Begins a submap if it is a new one, and puts it where it lies.
+fn set_submap(robot: &mut Robot, now: Stamp, pose: SubmapPose) -> anyhow::Result<()> {
+    let SubmapPose { submap, t_map_submap, .. } = pose;
+    let set = |robot: &mut Robot| {
+        if robot.submap() < submap {
+            robot.begin_submap(now)?;
+        }
+        robot.set_submap_pose(now, submap, &t_map_submap)
+    };
+    set(robot).with_context(|| format!("submap {}", submap.number()))
 }
 
 /// When pictures are taken: after one and two thirds of the longest source. The end is taken in any case.
@@ -181,6 +196,19 @@ pub fn have_all(robots: &[Robot], newest: &BTreeMap<Stream, u32>) -> bool {
 /// Whether every robot has received all packages of every other.
 pub fn has_everything(robots: &[Robot]) -> bool {
     have_all(robots, &newest(robots))
+}
+
+/// Whether every robot has the submaps of all where these have put them, and shows them so.
+pub fn shows_submaps(robots: &[Robot]) -> bool {
+    let are_moved = robots.iter().any(|robot| robot.counters().submap_poses > 0);
+    let has_all_of = |robot: &Robot, other: &Robot| {
+        let mut submaps = (0..=other.submap().number()).filter_map(SubmapId::new);
+        let stream = other.own_stream();
+        submaps.all(|id| robot.fusion().submap_pose(stream, id) == other.submap_pose(id))
+    };
+    let shows_all =
+        |robot: &Robot| !robot.is_rebuilding() && robots.iter().all(|other| has_all_of(robot, other));
+    !are_moved || robots.iter().all(shows_all)
 }
 
 #[cfg(test)]

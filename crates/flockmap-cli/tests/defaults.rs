@@ -80,6 +80,7 @@ const WORDS: &[(&str, &str, &str)] = &[
     ("RecordOptions", "points_topic", "None"),
     ("RecordOptions", "odometry_topic", "None"),
     ("RecordOptions", "map_frame", "None"),
+    ("RecordOptions", "submaps_topic", "None"),
     ("RecordOptions", "poses", "None"),
     ("RecordOptions", "scan_period_s", "None"),
     ("SessionConfig", "in_flight", "RoundTrip"),

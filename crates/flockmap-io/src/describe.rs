@@ -117,7 +117,7 @@ pub fn describe(path: impl AsRef<Path>) -> Result<Description, ReadError> {
             Some(parts) => {
                 bytes = parts.bytes();
                 let files = parts.files.len();
-                let index = McapIndex::read(&parts, options.chunk_bytes_max)?;
+                let index = McapIndex::read(&parts, &options)?;
                 let topics = index.channels.iter().map(|(channel, &messages)| Topic {
                     name: channel.topic.clone(),
                     schema: channel.schema.clone(),

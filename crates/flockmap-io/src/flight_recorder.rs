@@ -10,8 +10,9 @@ use crate::error::WriteError;
 use crate::flight_file::{ChannelId, FlightFile};
 use crate::flight_view::{FlightView, ViewOptions, ViewSink, ros_schema};
 use crate::protobuf::{Kind, Message, ProtoFile, Schema};
-use crate::record_scan::{check_stamp, scan_messages};
+use crate::record_scan::{SUBMAPS, check_stamp, scan_messages, submaps_message};
 use crate::record_view::ViewSchedule;
+use crate::ros;
 
 /// Schema of the messages that hold the feed.
 pub(crate) const FEED_SCHEMA: &str = "flockmap.FeedFrame";
@@ -80,6 +81,7 @@ impl FlightRecorder {
             origins: options.origins,
             links: true,
             scans: options.scans,
+            submaps: true,
             ..Default::default()
         };
         Ok(Self {
@@ -155,6 +157,20 @@ impl FlightRecorder {
             file.message(channel, scan.stamp, data)
         })?;
         self.schedule.scan_written(12 * (scan.points.len() + scan.no_returns.len()));
+        Ok(())
+    }
+
+    /// Records `T_map_submap` of all submaps of the robot, in their order, as they are from a time on, as
+    /// [`RecordWriter::write_submaps`](crate::RecordWriter::write_submaps) does.
+    ///
+    /// # Errors
+    /// As of [`Self::push`]. A stamp that ROS 2 has no time for, or too many submaps.
+    pub fn write_submaps(&mut self, now: Stamp, t_map_submaps: &[Pose]) -> Result<(), WriteError> {
+        let message = submaps_message(self.path(), now, t_map_submaps)?;
+        let topic = format!("/{}{SUBMAPS}", self.robot);
+        let channel = self.file.channel(&topic, "cdr", ros_schema(ros::POSES))?;
+        self.file.message(channel, now, &message)?;
+        self.schedule.scan_written(message.len());
         Ok(())
     }
 

@@ -7,6 +7,8 @@ use flockmap_grid::Stamp;
 use crate::error::{Fault, Place, Problem, ReadError, check_room};
 use crate::mcap_file::Channel;
 use crate::mcap_parts::{McapParts, Message, PartsReader};
+use crate::record::RecordOptions;
+use crate::record_submaps::SubmapLists;
 use crate::ros::{self, FrameForest, Track};
 
 /// Most poses, and most scans of a topic, that are kept.
@@ -24,6 +26,11 @@ pub(crate) struct McapIndex {
     pub(crate) odometries: BTreeMap<String, OdometryTopic>,
     pub(crate) transforms: FrameForest,
     poses: usize,
+    /// The topic of the poses of submaps, if they are wanted, and what it says.
+    submaps_topic: Option<String>,
+    pub(crate) submaps: SubmapLists,
+    /// Stamp of the scan that was read last, of any topic.
+    last_scan: Option<Stamp>,
     pub(crate) damages: Vec<ReadError>,
 }
 
@@ -43,9 +50,9 @@ pub(crate) struct OdometryTopic {
 
 impl McapIndex {
     /// Reads all parts. Damage is kept, up to 16 times; the first is the error if there is nothing else.
-    pub(crate) fn read(parts: &McapParts, chunk_bytes_max: u64) -> Result<Self, ReadError> {
-        let mut index = Self::default();
-        let mut reader = PartsReader::new(parts.clone(), chunk_bytes_max);
+    pub(crate) fn read(parts: &McapParts, options: &RecordOptions) -> Result<Self, ReadError> {
+        let mut index = Self { submaps_topic: options.submaps_topic.clone(), ..Self::default() };
+        let mut reader = PartsReader::new(parts.clone(), options.chunk_bytes_max);
         let mut unopened = 0;
         loop {
             let damage = match reader.next_message() {
@@ -87,10 +94,11 @@ impl McapIndex {
                 check_room("the number of scans", topic.scans.len(), ENTRIES_MAX)?;
                 let scan = topic.take(message.data);
                 topic.scans.push(scan.as_ref().ok().copied());
+                self.last_scan = scan.as_ref().ok().map_or(self.last_scan, |(stamp, _)| Some(*stamp));
                 scan.map(drop).map_err(in_message)?;
             }
             ros::ODOMETRY => {
-                check_room("the number of poses", self.poses, ENTRIES_MAX)?;
+                check_room("the number of poses", self.held(), ENTRIES_MAX)?;
                 let odometry = ros::decode_odometry(message.data).map_err(in_message)?;
                 self.poses += 1;
                 let topic = self.odometries.entry(channel.topic.clone()).or_insert_with(|| OdometryTopic {
@@ -101,7 +109,7 @@ impl McapIndex {
                 topic.track.collect(odometry.stamp, odometry.pose);
             }
             ros::TRANSFORMS => {
-                check_room("the number of poses", self.poses + self.transforms.collected(), ENTRIES_MAX)?;
+                check_room("the number of poses", self.held(), ENTRIES_MAX)?;
                 let fixed = channel.topic.ends_with("tf_static");
                 for t in ros::decode_transforms(message.data).map_err(in_message)? {
                     let namespace = ros::namespace(&channel.topic);
@@ -112,9 +120,25 @@ impl McapIndex {
                     }
                 }
             }
+            ros::POSES if self.submaps_topic.as_ref() == Some(&channel.topic) => {
+                let (stamp, poses) = ros::decode_submaps(message.data).map_err(in_message)?;
+                let beside = self.poses + self.transforms.collected();
+                self.submaps.take(self.stamp_of_submaps(stamp), &poses, [beside, ENTRIES_MAX])?;
+            }
             _ => {}
         }
         Ok(())
+    }
+
+    /// Poses that are held.
+    fn held(&self) -> usize {
+        self.poses + self.transforms.collected() + self.submaps.len()
+    }
+
+    /// From when on poses of submaps count. Without a stamp of their own: behind the scan before them in the file.
+    fn stamp_of_submaps(&self, stamp: Stamp) -> Stamp {
+        let is_unstamped = stamp == Stamp(0);
+        self.last_scan.filter(|_| is_unstamped).map_or(stamp, |scan| scan.plus_micros(1))
     }
 
     /// The topics of the file as text, for messages.
@@ -122,6 +146,12 @@ impl McapIndex {
         let topics = self.channels.keys().take(20);
         let topics = topics.map(|c| format!("{} ({}, encoding {})", c.topic, c.schema, c.encoding));
         listed(topics.collect(), "no message")
+    }
+
+    /// The topics with poses of submaps, or with others of the type, as text, for messages.
+    pub(crate) fn pose_topics(&self) -> String {
+        let topics = self.channels.keys().filter(|c| c.schema == ros::POSES && c.encoding == "cdr").take(20);
+        listed(topics.map(|c| c.topic.clone()).collect(), "no topic of that type")
     }
 
     /// What leads from frame to frame as text, for messages.

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use flockmap_grid::{Pose, Scan, Stamp};
 
 use crate::error::ReadError;
+use crate::record_submaps::SubmapPoses;
 
 /// How to read a record. `RecordOptions::default()` fits most.
 #[derive(Clone, Debug)]
@@ -21,6 +22,10 @@ pub struct RecordOptions {
     /// Frame in which poses are wanted, in an MCAP file. Default: the parent frame of the odometry, or else
     /// the root of tf.
     pub map_frame: Option<String>,
+    /// Topic of `geometry_msgs/msg/PoseArray` in an MCAP with `T_map_submap` of each submap of the robot, in
+    /// their order, at most 4,096: where a list has more than the one before, more submaps begin. Default: none,
+    /// since such lists may be anything.
+    pub submaps_topic: Option<String>,
     /// Pose file of a folder, in KITTI's form. Default: `optimized_poses.txt`, `odom_poses.txt` or
     /// `poses.txt` in it.
     pub poses: Option<PathBuf>,
@@ -41,6 +46,7 @@ impl Default for RecordOptions {
             points_topic: None,
             odometry_topic: None,
             map_frame: None,
+            submaps_topic: None,
             poses: None,
             scan_period_s: None,
             pose_gap_max_s: 0.5,
@@ -73,6 +79,8 @@ pub struct Record {
     /// Stamp and `T_map_sensor` of each frame, in order: where the robot was, known before the scans are
     /// read. 64 bytes each.
     pub poses: Vec<(Stamp, Pose)>,
+    /// How the submaps lie, if [`RecordOptions::submaps_topic`] names where it is said.
+    pub submaps: SubmapPoses,
     /// The scans, in the order of their stamps.
     pub frames: Frames,
 }

@@ -8,6 +8,7 @@ use crate::error::{Fault, Place, ReadError, check_room, excerpt};
 use crate::file::{name_of, read_whole};
 use crate::pcd;
 use crate::record::{Frame, Frames, Record, RecordOptions, RecordSummary};
+use crate::record_submaps::SubmapPoses;
 
 /// Most scans in a folder, and most rows of poses.
 const ROWS_MAX: usize = 1 << 22;
@@ -43,6 +44,7 @@ pub(crate) fn open(folder: &Path, options: &RecordOptions) -> Result<Record, Rea
         files: vec![folder.to_owned()],
         summary,
         poses,
+        submaps: SubmapPoses::default(),
         frames: Frames::new(frames),
     })
 }

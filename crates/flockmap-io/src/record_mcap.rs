@@ -13,6 +13,7 @@ use crate::mcap_frames::{Entry, McapFrames};
 use crate::mcap_index::{CloudTopic, McapIndex, OdometryTopic};
 use crate::mcap_parts::McapParts;
 use crate::record::{Frames, Record, RecordOptions, RecordSummary};
+use crate::record_submaps::SubmapPoses;
 use crate::ros::{self, FrameTree, Reach};
 
 /// Most scans that may have to wait for an earlier one that lies behind them in the file.
@@ -25,7 +26,7 @@ const NAMED_MAX: usize = 64;
 
 /// Opens the record at `path`, which is in these files.
 pub(crate) fn open(path: &Path, parts: McapParts, options: &RecordOptions) -> Result<Record, ReadError> {
-    let index = McapIndex::read(&parts, options.chunk_bytes_max)?;
+    let index = McapIndex::read(&parts, options)?;
     plan(path, parts, options, index)
 }
 
@@ -37,10 +38,12 @@ pub(crate) fn plan(
     mut index: McapIndex,
 ) -> Result<Record, ReadError> {
     let damages = core::mem::take(&mut index.damages);
+    let submaps = core::mem::take(&mut index.submaps).into_poses();
     // Where nothing could be read at all, the damage is the better answer.
     let instead = damages.first().filter(|_| index.clouds.is_empty()).cloned();
-    plan_undamaged(path, parts, options, &index, damages)
-        .map_err(|fault| instead.unwrap_or_else(|| fault.in_file(path)))
+    let record = plan_undamaged(path, parts, options, &index, damages);
+    let record = record.map_err(|fault| instead.unwrap_or_else(|| fault.in_file(path)))?;
+    Ok(Record { submaps, ..record })
 }
 
 fn plan_undamaged(
@@ -51,6 +54,7 @@ fn plan_undamaged(
     damages: Vec<ReadError>,
 ) -> Result<Record, Fault> {
     let (topic, cloud) = choose_cloud(index, options)?;
+    check_submaps(index, options)?;
     let tree = index.transforms.seen_from(topic);
     let reach = Reach { gap_max: (options.pose_gap_max_s * 1e6) as i64, near: NEAR_MICROS };
     let frames = cloud.frames.iter();
@@ -96,7 +100,19 @@ fn plan_undamaged(
     let no_returns = no_returns.filter(|t| t != topic && index.clouds.contains_key(t));
     let files = parts.files.clone();
     let frames = McapFrames::new(parts, options.clone(), topic.into(), no_returns, entries, damages);
-    Ok(Record { name: name_of(path), files, summary, poses, frames: Frames::new(frames) })
+    let submaps = SubmapPoses::default();
+    Ok(Record { name: name_of(path), files, summary, poses, submaps, frames: Frames::new(frames) })
+}
+
+/// Whether the topic that is to say how submaps lie does so.
+fn check_submaps(index: &McapIndex, options: &RecordOptions) -> Result<(), Fault> {
+    let Some(topic) = &options.submaps_topic else { return Ok(()) };
+    let fits = |c: &Channel| c.topic == *topic && c.schema == ros::POSES && c.encoding == "cdr";
+    if index.channels.keys().any(fits) {
+        return Ok(());
+    }
+    let expected = format!("poses of submaps on the topic {topic} ({} in the encoding \"cdr\")", ros::POSES);
+    Err(Fault::foreign(Place::Whole, expected, index.pose_topics()))
 }
 
 fn choose_cloud<'a>(

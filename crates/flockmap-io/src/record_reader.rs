@@ -59,9 +59,9 @@ impl RecordKind {
 /// out and reported as damage. Only files in the folder are read, whatever the metadata names.
 ///
 /// An MCAP file is read through once here for its poses and stamps, and once more by [`Record::frames`] for
-/// its scans. Memory: 64 bytes for each pose (at most 4,194,304), 152 for each scan (at most 4,194,304), one
-/// chunk, and as many scans as are out of order (at most 256); of a bag `metadata.yaml` (at most 16 MiB), and
-/// up to 128 MiB where a file is packed as a whole.
+/// its scans. Memory: 64 bytes for each pose (72 for one of a submap; at most 4,194,304), 152 for each scan
+/// (at most 4,194,304), one chunk, and as many scans as are out of order (at most 256); of a bag
+/// `metadata.yaml` (at most 16 MiB), and up to 128 MiB where a file is packed as a whole.
 ///
 /// ```no_run
 /// let record = flockmap_io::open_record("robot1.mcap", &Default::default())?;

@@ -1,12 +1,13 @@
-//! A scan and its pose as messages of ROS 2, as they stand in records.
+//! A scan and its pose, and how submaps lie, as messages of ROS 2, as they stand in records.
 
 use std::path::Path;
 
-use flockmap_grid::{Pose, Scan, Stamp};
+use flockmap_grid::{Pose, Scan, Stamp, SubmapId};
 
 use crate::error::WriteError;
 use crate::ros::{
-    self, Header, Odometry, PoseWithCovariance, TFMessage, TransformStamped, cloud_of_points, encode,
+    self, Header, Odometry, PoseArray, PoseWithCovariance, TFMessage, TransformStamped, cloud_of_points,
+    encode,
 };
 
 /// The frame in which poses and maps are.
@@ -17,6 +18,9 @@ pub(crate) const POINTS: &str = "/points";
 pub(crate) const ODOMETRY: &str = "/odometry";
 /// Topic of poses, of all robots.
 pub(crate) const TRANSFORMS: &str = "/tf";
+
+/// Topic of how submaps lie, behind the name of the robot.
+pub(crate) const SUBMAPS: &str = "/submaps";
 
 /// Gives each message of a scan to `write`: its topic, its schema, its bytes. The pose comes first: a program that
 /// plays them knows where the sensor is when the scan comes.
@@ -56,6 +60,19 @@ pub(crate) fn scan_messages(
         }
     }
     Ok(())
+}
+
+/// The message that says how all submaps of a robot lie from a time on.
+pub(crate) fn submaps_message(path: &Path, now: Stamp, poses: &[Pose]) -> Result<Vec<u8>, WriteError> {
+    check_stamp(path, now)?;
+    if poses.len() > SubmapId::COUNT {
+        let why = format!("a run has at most {}", SubmapId::COUNT);
+        return Err(WriteError::unfit(path, format!("{} submaps", poses.len()), why));
+    }
+    // As a robot has them, so that they are read back bit for bit.
+    let poses = poses.iter().map(|pose| pose.rounded().map(Into::into)).collect::<Result<_, _>>();
+    let poses = poses.map_err(|error| WriteError::unfit(path, "a pose of a submap", error.to_string()))?;
+    Ok(encode(&PoseArray { header: Header::new(now, MAP_FRAME), poses }))
 }
 
 /// Whether ROS 2 has a time for a stamp.

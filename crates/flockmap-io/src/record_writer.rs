@@ -8,7 +8,9 @@ use flockmap_grid::{Pose, Resolution, Scan, Stamp, Voxel};
 use mcap::records::MessageHeader;
 
 use crate::error::WriteError;
-use crate::record_scan::{MAP_FRAME, ODOMETRY, POINTS, TRANSFORMS, check_stamp, scan_messages};
+use crate::record_scan::{
+    MAP_FRAME, ODOMETRY, POINTS, SUBMAPS, TRANSFORMS, check_stamp, scan_messages, submaps_message,
+};
 use crate::record_view::{ColouredPoint, Travelled, VIEW_VOXELS_MAX, ViewSchedule, map_points};
 use crate::ros::{self, Header, cloud_of_coloured_points, encode};
 
@@ -16,7 +18,7 @@ use crate::ros::{self, Header, cloud_of_coloured_points, encode};
 /// x y z as `f32`, in the frame `NAME/lidar`), `/NAME/odometry` (`nav_msgs/msg/Odometry`, `map` →
 /// `NAME/lidar`), `/tf`, and `/NAME/no_returns` for the rays that came back with nothing, if there are any.
 /// [`Self::write_view`] adds pictures for people: `/NAME/viewer/map` and `/NAME/viewer/path`, coloured
-/// PointCloud2 in the frame `map`.
+/// PointCloud2 in the frame `map`. [`Self::write_submaps`] adds `/NAME/submaps`, `geometry_msgs/msg/PoseArray`.
 ///
 /// [`crate::open_record`] reads it back bit for bit, and so do ROS 2, Foxglove and Rerun. The same input
 /// gives the same bytes on any machine. Memory: one chunk of about 1 MiB, one scan or one picture (4 MiB),
@@ -99,6 +101,18 @@ impl<W: Write + Seek> RecordWriter<W> {
         self.schedule.scan_written(12 * (scan.points.len() + scan.no_returns.len()));
         self.travelled.push(t_map_sensor.translation());
         Ok(())
+    }
+
+    /// Writes `T_map_submap` of all submaps of the robot, in their order, as they are from now on: before the scan of
+    /// the same stamp, wherever that is written. Where there are more than the last time, more begin; at most
+    /// [`SubmapId::COUNT`](flockmap_grid::SubmapId::COUNT). Reading them back takes
+    /// [`RecordOptions::submaps_topic`](crate::RecordOptions::submaps_topic).
+    pub fn write_submaps(&mut self, now: Stamp, t_map_submaps: &[Pose]) -> Result<(), WriteError> {
+        let message = submaps_message(&self.path, now, t_map_submaps)?;
+        let definition = ros::definition(ros::POSES).as_bytes();
+        let schema = self.mcap.add_schema(ros::POSES, "ros2msg", definition);
+        let schema = schema.map_err(WriteError::mcap(&self.path))?;
+        self.message(schema, &self.topic(SUBMAPS), now, &message)
     }
 
     /// Whether it is time for [`Self::write_view`]: every 2 s, and less often where pictures would take more

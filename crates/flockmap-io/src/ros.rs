@@ -56,7 +56,7 @@ pub use time::{Clock, Duration, Header, Time};
 pub use track::{NoPoseThen, Reach, Track};
 
 pub(crate) use record::{
-    NO_RETURNS, ODOMETRY, POINT_CLOUD, TRANSFORMS, decode_cloud_header, decode_odometry, decode_points,
-    decode_transforms, definition,
+    NO_RETURNS, ODOMETRY, POINT_CLOUD, POSES, TRANSFORMS, decode_cloud_header, decode_odometry,
+    decode_points, decode_submaps, decode_transforms, definition,
 };
 pub(crate) use topic::{is_within, namespace, shared_names};

@@ -122,6 +122,7 @@ impl<T: Transport> Driver<T> {
             outlet.end();
         }
         if let Some(recorder) = &mut self.recorder {
+            recorder.note_submaps(self.options.clock.now(), &self.robot);
             recorder.end();
         }
         self.say_status();
@@ -278,7 +279,8 @@ impl<T: Transport> Driver<T> {
                 if let Some(observer) = &mut self.options.observer {
                     observer(now, &self.robot, Observation::Scan { scan: &frame.scan, report: &report });
                 }
-                if let Some(recorder) = &self.recorder {
+                if let Some(recorder) = &mut self.recorder {
+                    recorder.note_submaps(frame.scan.stamp, &self.robot);
                     recorder.note_scan(frame);
                 }
             }

@@ -61,7 +61,7 @@ pub use config::{
     MapOutputSection, MetricsSection, NodeConfig, OutputSection, RecordSection, RosPoses, RosSection, Secret,
     SensorSection, StateSection, StoreSection, TeammatesSection, ViewSection, schema,
 };
-pub use flockmap_io::{FlightOptions, Frame, Frames};
+pub use flockmap_io::{FlightOptions, Frame, Frames, SubmapPoses};
 pub use flockmap_store as store;
 pub use log::{Level, Log};
 pub use map_output::{MapOutput, MapReaders, links_of, poses_of, submaps_of};

@@ -225,11 +225,11 @@ fn start_sensor(
         return Ok(());
     }
     match sensor {
-        Sensor::Play { frames, speed, skip, begin } => {
+        Sensor::Play { frames, submaps, speed, skip, begin } => {
             let speed = crate::config::speed("speed", speed)?;
             std::thread::Builder::new()
                 .name("sensor".into())
-                .spawn(move || play(frames, speed, skip, begin, &clock, &inputs))
+                .spawn(move || play((frames, submaps), speed, skip, begin, &clock, &inputs))
                 .map_err(system("start a thread"))?;
         }
         Sensor::Channel(mut frames) => {

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use flockmap::{Pose, Robot, Stamp, SubmapId};
 use flockmap_io::{FlightOptions, FlightRecorder, Frame, WriteError};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio::sync::mpsc;
@@ -43,10 +44,19 @@ pub struct Recording {
 /// The driver's side. Dropping it ends the file.
 pub(crate) struct Recorder {
     /// `None` at the end, and where scans are not wanted.
-    scans: Option<mpsc::UnboundedSender<Frame>>,
+    scans: Option<mpsc::UnboundedSender<Seen>>,
     is_with_scans: bool,
+    /// How many submaps had begun, and how many had been moved, when it was recorded last how they lie.
+    submap_changes: u64,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
+}
+
+/// What is recorded beside the feed.
+enum Seen {
+    Scan(Frame),
+    /// How all submaps lie from a time on.
+    Submaps(Stamp, Vec<Pose>),
 }
 
 #[derive(Default)]
@@ -80,20 +90,44 @@ impl Recorder {
             .name(format!("record of {name}"))
             .spawn(move || runtime.block_on(work.run()))?;
         let is_with_scans = recording.options.scans;
-        Ok(Self { scans: Some(scans), is_with_scans, shared, thread: Some(thread) })
+        Ok(Self { scans: Some(scans), is_with_scans, submap_changes: 0, shared, thread: Some(thread) })
     }
 
     /// Records a scan if scans are wanted. Never waits.
     pub(crate) fn note_scan(&self, frame: Frame) {
-        let Some(scans) = self.scans.as_ref().filter(|_| self.is_with_scans) else { return };
-        let bytes = bytes_of(&frame);
+        if !self.note(Seen::Scan(frame)) {
+            self.shared.scans_left_out.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Records how the submaps of the robot lie from a time on, if scans are wanted and submaps began or were moved.
+    /// To be called before the scan that was taken in so. A list that has no room is tried again at the next one.
+    /// Never waits.
+    pub(crate) fn note_submaps(&mut self, now: Stamp, robot: &Robot) {
+        let counters = robot.counters();
+        let changes = counters.submaps_begun + counters.submap_poses;
+        if !self.is_with_scans || changes == self.submap_changes {
+            return;
+        }
+        let submaps = (0..=robot.submap().number()).filter_map(SubmapId::new);
+        let poses = submaps.map(|submap| robot.submap_pose(submap)).collect();
+        if self.note(Seen::Submaps(now, poses)) {
+            self.submap_changes = changes;
+        }
+    }
+
+    /// Whether there is room for it, or it is not wanted.
+    fn note(&self, seen: Seen) -> bool {
+        let Some(scans) = self.scans.as_ref().filter(|_| self.is_with_scans) else { return true };
+        let bytes = bytes_of(&seen);
         let waiting = self.shared.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
         // One that is larger than the limit goes alone.
         let has_room = waiting == 0 || waiting + bytes <= WAITING_BYTES_MAX;
-        if !has_room || scans.send(frame).is_err() {
+        let is_taken = has_room && scans.send(seen).is_ok();
+        if !is_taken {
             self.shared.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
-            self.shared.scans_left_out.fetch_add(1, Ordering::Relaxed);
         }
+        is_taken
     }
 
     /// The counters of the node with what is counted here.
@@ -123,14 +157,17 @@ impl Drop for Recorder {
     }
 }
 
-fn bytes_of(frame: &Frame) -> usize {
-    12 * (frame.scan.points.len() + frame.scan.no_returns.len()) + 100
+fn bytes_of(seen: &Seen) -> usize {
+    100 + match seen {
+        Seen::Scan(frame) => 12 * (frame.scan.points.len() + frame.scan.no_returns.len()),
+        Seen::Submaps(_, poses) => size_of::<Pose>() * poses.len(),
+    }
 }
 
 /// What the thread works on.
 struct Work {
     flight: FlightRecorder,
-    scans: mpsc::UnboundedReceiver<Frame>,
+    scans: mpsc::UnboundedReceiver<Seen>,
     shared: Arc<Shared>,
     clock: Clock,
     readers: MapReaders,
@@ -177,7 +214,7 @@ impl Work {
                         Ok(count) => self.flight.push(self.clock.now(), buffer.get(..count).unwrap_or_default())?,
                     },
                     scan = self.scans.recv() => match scan {
-                        Some(frame) => self.take_scan(&frame)?,
+                        Some(seen) => self.take(&seen)?,
                         None => return self.take_rest(stream).await,
                     },
                     _ = flush.tick() => {
@@ -188,8 +225,8 @@ impl Work {
             }
             // The map has ended, or the disk was too slow for it.
             let scans = async {
-                while let Some(frame) = self.scans.recv().await {
-                    self.take_scan(&frame)?;
+                while let Some(seen) = self.scans.recv().await {
+                    self.take(&seen)?;
                 }
                 Ok(())
             };
@@ -217,9 +254,13 @@ impl Work {
         ours
     }
 
-    fn take_scan(&mut self, frame: &Frame) -> Result<(), WriteError> {
-        self.shared.waiting_bytes.fetch_sub(bytes_of(frame), Ordering::Relaxed);
-        match self.flight.write_scan(&frame.scan, &frame.t_map_sensor) {
+    fn take(&mut self, seen: &Seen) -> Result<(), WriteError> {
+        self.shared.waiting_bytes.fetch_sub(bytes_of(seen), Ordering::Relaxed);
+        let written = match seen {
+            Seen::Scan(frame) => self.flight.write_scan(&frame.scan, &frame.t_map_sensor),
+            Seen::Submaps(now, poses) => self.flight.write_submaps(*now, poses),
+        };
+        match written {
             Err(WriteError::Unfit { .. }) => {
                 self.shared.scans_left_out.fetch_add(1, Ordering::Relaxed);
                 Ok(())

@@ -185,6 +185,7 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
                 points_topic: section.points_topic.clone(),
                 odometry_topic: section.odometry_topic.clone(),
                 map_frame: section.map_frame.clone(),
+                submaps_topic: section.submaps_topic.clone(),
                 poses: section.poses.clone(),
                 scan_points_max: u64::from(limits.scan_points_max),
                 ..RecordOptions::default()
@@ -193,12 +194,15 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
             let record = open_record(path, &options).context("[sensor] record")?;
             let summary = &record.summary;
             let (scans, length) = (summary.frames, summary.duration_s());
+            let submaps = record.submaps;
+            let begun = submaps.iter().map(|pose| pose.submap.number() + 1).max();
+            let in_submaps = begun.map(|count| format!(", {count} submaps")).unwrap_or_default();
             let rounds = if repeat == 1 { String::new() } else { format!(", {repeat} times") };
-            log.info(format!("plays {}: {scans} scans, {length:.1} s{rounds}", path.display()));
+            log.info(format!("plays {}: {scans} scans, {length:.1} s{in_submaps}{rounds}", path.display()));
             let again = path.clone();
             let open = move || open_record(&again, &options).map(|record| record.frames);
             let frames = repeated(record.frames, repeat, open);
-            Ok(Sensor::Play { frames, speed, skip, begin: None })
+            Ok(Sensor::Play { frames, submaps, speed, skip, begin: None })
         }
         (None, Some(address), None) => {
             if !address.ip().is_loopback() {

@@ -12,7 +12,8 @@ use flockmap::{State, Voxel};
 use flockmap_feed::{Event, Mirror, MirrorOptions};
 use flockmap_io::{RecordOptions, open_flight, open_record};
 use flockmap_node::{
-    FlightOptions, Level, Log, Node, NodeHandle, NodeOptions, Recording, Sensor, StartError, UdpSockets,
+    FlightOptions, Level, Log, Node, NodeHandle, NodeOptions, Recording, Sensor, StartError, SubmapPoses,
+    UdpSockets,
 };
 
 const SCANS: usize = 30;
@@ -25,6 +26,7 @@ fn start(path: PathBuf, options: FlightOptions) -> (Vec<NodeHandle>, Shared<Vec<
         let id = k as u16 + 1;
         let sensor = Sensor::Play {
             frames: frames(corridor(id, SCANS)),
+            submaps: SubmapPoses::default(),
             speed: 4.0,
             skip: Duration::ZERO,
             begin: None,
@@ -129,8 +131,13 @@ fn a_record_that_cannot_be_made_stops_the_start() {
 fn a_start_that_fails_behind_the_record_ends_it() {
     let path = new_dir("record-start").join("flight.mcap");
     let record = Some(Recording { path: path.clone(), options: FlightOptions::default() });
-    let sensor =
-        Sensor::Play { frames: frames(corridor(1, 1)), speed: 0.0, skip: Duration::ZERO, begin: None };
+    let sensor = Sensor::Play {
+        frames: frames(corridor(1, 1)),
+        submaps: SubmapPoses::default(),
+        speed: 0.0,
+        skip: Duration::ZERO,
+        begin: None,
+    };
     let options = NodeOptions { record, sensor, ..NodeOptions::new(config(1)) };
     let sockets = swarm(1).remove(0);
     let error = Node::start(options, move || sockets.into_transport()).unwrap_err();

@@ -235,6 +235,7 @@ fn start(
         });
         options.sensor = Sensor::Play {
             frames: flockmap_node::Frames::new(frames),
+            submaps: flockmap_node::SubmapPoses::default(),
             speed: 1.0,
             skip: Duration::ZERO,
             begin: Some(BEGIN),

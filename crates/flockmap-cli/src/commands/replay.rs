@@ -25,6 +25,7 @@ Examples:
   flockmap replay kaist03/ --resolution 0.2 --range 40
   flockmap replay rosbag2_2026_11_23/ --resolution 0.2 --range 30
   flockmap replay two_robots/ --points-topic /robot1/points --points-topic /robot2/points
+  flockmap replay flight.mcap --resolution 0.2 --range 30 --submaps-topic /slam/submaps    (docs/submaps.md)
   flockmap replay fr_079.bt --robots 3 --seconds 30 --out report/
   flockmap replay forest --loss 0.3 --budget-kb-s 40
   flockmap replay forest --loss 0.2 --view           (in a browser, with pause and back in time)
@@ -63,6 +64,10 @@ pub struct ReplayArgs {
     /// The session behaves as in the paper: packages on request only, oldest first, everyone answers
     #[arg(long)]
     pub paper_session: bool,
+    /// Topic in an .mcap or bag with the poses of the robot's submaps (PoseArray, T_map_submap of each), for all or
+    /// once for each robot: a submap begins where a pose is new, and all lie as the newest poses say
+    #[arg(long, value_name = "TOPIC", help_heading = "Records", conflicts_with = "submap_length")]
+    pub submaps_topic: Vec<String>,
     /// Records keep their own time in place of all starting together
     #[arg(long)]
     pub real_stamps: bool,
@@ -100,15 +105,21 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<bool> {
             "--real-stamps is for records, and {} is a world",
             world.display()
         );
+        ensure!(
+            args.submaps_topic.is_empty() || !sources::is_world(world),
+            "--submaps-topic is for records, and {} is a world",
+            world.display()
+        );
     }
+    let source = SourceArgs { submaps_topic: args.submaps_topic.clone(), ..args.source.clone() };
     let sources = match args.records.as_slice() {
         // A single robot has nobody to sync with.
         [record]
             if !sources::is_world(record) && args.source.robots > 1 && args.source.points_topic.len() < 2 =>
         {
-            sources::open_parts(record, &args.source)?
+            sources::open_parts(record, &source)?
         }
-        records => sources::open(records, &args.source, args.map.range, args.real_stamps)?,
+        records => sources::open(records, &source, args.map.range, args.real_stamps)?,
     };
     let radio = RadioConfig { seed: args.source.seed, link, ..RadioConfig::default() };
     let title = format!("replay of {}", sources.title);

@@ -264,11 +264,20 @@ impl Report {
                 thousands(in_parts)
             ),
         };
+        let submaps = match [sum(|r| r.submaps_begun), sum(|r| r.submap_poses)] {
+            [0, 0] => String::new(),
+            [begun, moved] => format!(
+                " Submaps: {} begun beside the first of each robot, moved {} times; packages of {} bytes say so.",
+                thousands(begun),
+                thousands(moved),
+                thousands(sum(|r| r.submap_package_bytes))
+            ),
+        };
         format!(
             "Bytes, with requests, repairs and all headers; KB/s with the 28 bytes of IP and UDP of each datagram. KB = 1,024 bytes. \
              Average over {:.1} s from first to last scan; max: largest window of one second. {copies}. RACER: 5 bytes for each of the \
              same changes and 52 for each 200 of them. The paper: each batch as one package. Both sent once, without requests or \
-             repairs, as if nothing were lost.{budget}",
+             repairs, as if nothing were lost.{budget}{submaps}",
             self.record_s
         )
     }

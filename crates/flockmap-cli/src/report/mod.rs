@@ -161,6 +161,10 @@ pub struct RobotReport {
     pub own_packages: u64,
     /// Bytes of these, once each, without any header of a datagram.
     pub own_package_bytes: u64,
+    /// Submaps that were begun after the first, how often one was moved, and the bytes of packages that say so.
+    pub submaps_begun: u64,
+    pub submap_poses: u64,
+    pub submap_package_bytes: u64,
     pub packages_sent: u64,
     /// Found lost, and sent again.
     pub resent: u64,
@@ -393,6 +397,9 @@ fn robot_report(member: &Member, seconds: f64) -> RobotReport {
         changed_voxels: counters.changes,
         own_packages: counters.packages,
         own_package_bytes: counters.package_bytes,
+        submaps_begun: counters.submaps_begun,
+        submap_poses: counters.submap_poses,
+        submap_package_bytes: counters.submap_package_bytes,
         packages_sent: session.sent,
         resent: session.lost,
         relayed: session.relayed,

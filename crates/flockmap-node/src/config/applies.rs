@@ -12,6 +12,7 @@ const NEEDS: &[(&str, &[&str])] = &[
     ("[sensor] points_topic", RECORD),
     ("[sensor] odometry_topic", RECORD),
     ("[sensor] map_frame", RECORD),
+    ("[sensor] submaps_topic", RECORD),
     ("[sensor] poses", RECORD),
     ("[sensor] unix_mode", &["[sensor] listen_unix"]),
     ("[sensor] stamp_error_max_s", LISTEN_OR_ROS),
@@ -47,10 +48,13 @@ const RECORDED: &[&str] = &["[record] path"];
 const MULTICAST: &[&str] = &["[network] multicast"];
 
 /// Keys of which at most one may be given.
-const EITHER: [&[&str]; 3] = [
+const EITHER: [&[&str]; 5] = [
     &["[sensor] record", "[sensor] listen_tcp", "[sensor] listen_unix"],
     &["[network] broadcast", "[network] multicast"],
     &["[view] token", "[view] token_file"],
+    &["[sensor] submaps_topic", "[submaps] length_m"],
+    // A run begins with the first submap, and has it once.
+    &["[sensor] submaps_topic", "[sensor] repeat"],
 ];
 
 /// Whether each key of a file means something beside the others. `has_scans`: they come from elsewhere than the

@@ -189,6 +189,9 @@ pub struct SensorSection {
     pub odometry_topic: Option<String>,
     /// Frame in which the poses of the record are wanted.
     pub map_frame: Option<String>,
+    /// Topic of the poses of the robot's submaps in the record, `geometry_msgs/PoseArray`. It is played once then, and
+    /// `[submaps] length_m` begins none.
+    pub submaps_topic: Option<String>,
     /// Pose file of a folder of scans.
     pub poses: Option<PathBuf>,
     /// Listen here for scans over TCP.
@@ -217,6 +220,7 @@ impl Default for SensorSection {
             points_topic: None,
             odometry_topic: None,
             map_frame: None,
+            submaps_topic: None,
             poses: None,
             listen_tcp: None,
             listen_unix: None,

@@ -364,3 +364,18 @@ fn who_brings_scans_says_no_source_of_them() {
     let error = check_applies(&places("[sensor]\nrecord = \"a\"\n"), true).unwrap_err().to_string();
     assert_eq!(error, "[sensor] record is given, expected none: scans come from ROS here");
 }
+
+#[test]
+fn submaps_of_a_record_are_its_own_and_played_once() {
+    let check = |text: &str| check_applies(&Places::of(&format!("{MINIMAL}{text}")), false);
+    let record = "[sensor]\nrecord = \"a\"\nsubmaps_topic = \"/slam/submaps\"\n";
+    check(record).unwrap();
+    for (text, expected) in [
+        (format!("{record}[submaps]\nlength_m = 5.0\n"), "given, and [submaps] length_m too"),
+        (format!("{record}repeat = 2\n"), "given, and [sensor] repeat too"),
+        ("[sensor]\nsubmaps_topic = \"/slam/submaps\"\n".to_owned(), "expected [sensor] record beside it"),
+    ] {
+        let error = check(&text).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}

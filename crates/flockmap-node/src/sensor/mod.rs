@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use flockmap::{Pose, RobotId, Stamp};
-use flockmap_io::{Frame, Frames};
+use flockmap_io::{Frame, Frames, SubmapPoses};
 
 pub(crate) use connections::serve;
 pub use fields::{MESSAGE_VERSION, MessageError};
@@ -34,6 +34,9 @@ pub enum Sensor {
     Play {
         /// The frames.
         frames: Frames,
+        /// How the submaps of the record lie, from when on; empty if it says nothing of them. The node then begins
+        /// none by the way.
+        submaps: SubmapPoses,
         /// How fast they are played: 2.0 is twice as fast as recorded.
         speed: f64,
         /// Frames of the first so many seconds of the recording are left out.

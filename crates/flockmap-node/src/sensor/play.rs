@@ -3,8 +3,8 @@
 use std::thread;
 use std::time::Duration;
 
-use flockmap::Stamp;
-use flockmap_io::Frames;
+use flockmap::{Stamp, SubmapId};
+use flockmap_io::{Frames, SubmapPose, SubmapPoses};
 use tokio::sync::mpsc::Sender;
 
 use super::Input;
@@ -17,10 +17,11 @@ const PAUSE_SAID_MICROS: i64 = 10_000_000;
 const STEP_BACK_MICROS: i64 = 1_000_000;
 
 /// Reads frames and passes each on when its time has come, until they end or nobody listens any more. Frames
-/// that wait make the reader wait, so memory is bounded; what comes too late is passed on at once. `None`:
-/// nobody listens any more.
+/// that wait make the reader wait, so memory is bounded; what comes too late is passed on at once. What is said of
+/// submaps comes with the frame that follows, and what is said after the last one behind that. Where the first frames
+/// are skipped, the run begins with the submap that was open then. `None`: nobody listens any more.
 pub(crate) fn play(
-    frames: Frames,
+    (frames, mut submaps): (Frames, SubmapPoses),
     speed: f64,
     skip: Duration,
     begin: Option<Stamp>,
@@ -31,6 +32,7 @@ pub(crate) fn play(
     let mut origin: Option<(Stamp, Stamp)> = None;
     let mut record_begin: Option<Stamp> = None;
     let mut last: Option<Stamp> = None;
+    let mut newest = SubmapId::FIRST;
     let skip = i64::try_from(skip.as_micros()).unwrap_or(i64::MAX);
     for frame in frames {
         let mut frame = match frame {
@@ -44,6 +46,9 @@ pub(crate) fn play(
         let since_begin = stamp.micros_since(*record_begin.get_or_insert(stamp));
         if origin.is_none() && (0..skip).contains(&since_begin) {
             continue;
+        }
+        if origin.is_none() {
+            submaps = submaps.begun_at(stamp);
         }
         let now = clock.now();
         let back = last.replace(stamp).map_or(0, |last| last.micros_since(stamp));
@@ -73,8 +78,26 @@ pub(crate) fn play(
                 return None;
             }
         }
+        say_submaps(&mut submaps, stamp, &mut newest, to)?;
         frame.scan.stamp = due;
         to.blocking_send(Input::Frame(frame)).ok()?;
+    }
+    say_submaps(&mut submaps, Stamp(i64::MAX), &mut newest, to)
+}
+
+/// Passes on what is due of submaps: the node begins one where it is a new one. `newest`: the one that began last.
+fn say_submaps(
+    submaps: &mut SubmapPoses,
+    until: Stamp,
+    newest: &mut SubmapId,
+    to: &Sender<Input>,
+) -> Option<()> {
+    while let Some(SubmapPose { submap, t_map_submap, .. }) = submaps.take_due(until) {
+        if submap > *newest {
+            *newest = submap;
+            to.blocking_send(Input::BeginSubmap).ok()?;
+        }
+        to.blocking_send(Input::SubmapPose(Some(submap.number()), t_map_submap)).ok()?;
     }
     Some(())
 }
@@ -94,7 +117,9 @@ mod tests {
         let frames = Frames::new(stamps.iter().map(frame));
         let clock = Clock::new();
         let (to, mut from) = tokio::sync::mpsc::channel(4);
-        let thread = thread::spawn(move || play(frames, 1.0, Duration::ZERO, None, &clock, &to));
+        let thread = thread::spawn(move || {
+            play((frames, SubmapPoses::default()), 1.0, Duration::ZERO, None, &clock, &to)
+        });
         let inputs = (0..count).map_while(|_| from.blocking_recv()).collect();
         drop(from);
         thread.join().unwrap();
