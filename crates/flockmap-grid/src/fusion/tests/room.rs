@@ -1,6 +1,7 @@
 //! Layers at their limits.
 
 use super::*;
+use crate::{SubmapId, SubmapRecord};
 
 /// The voxels of a diagonal, one in each of so many blocks.
 fn apart(blocks: core::ops::Range<i32>) -> Changes {
@@ -175,4 +176,29 @@ fn where_room_is_wanting_some_of_what_lies_cold_is_packed_at_a_time_and_the_own_
             assert!(calls.iter().all(|packed| *packed <= 128 + 512 + 2 * 64), "{calls:?}");
         }
     }
+}
+
+#[test]
+fn what_is_said_of_submaps_is_refused_last_and_an_older_pose_does_not_come_in_its_place() {
+    let mapper = mapper();
+    let config = FusionConfig { layer_bytes_max: 100_000, ..FusionConfig::default() };
+    let mut fusion = Fusion::new(OWN, resolution(), config);
+    let stamp = |n: u16| Stamp(i64::from(n) * 1_000_000);
+    let record = |n: u16, x: f64| {
+        let pose = Pose::from_translation([x, 0.0, 0.0]).rounded().ok();
+        SubmapRecord::changes(&[SubmapRecord { submap: SubmapId::new(n).unwrap(), begins: n > 0, pose }])
+            .unwrap()
+    };
+    fusion.apply(&mapper, stream(3), &apart(0..20), Stamp(1), Stamp(1)).unwrap();
+    let refused = (0..400).find(|n| {
+        fusion.apply(&mapper, stream(2), &record(*n, f64::from(*n)), stamp(*n), stamp(*n)).unwrap();
+        assert!(fusion.memory_bytes_of_others(&mapper) <= 100_000);
+        fusion.take_dropped().iter().any(|gone| gone.stream == stream(2))
+    });
+    let refused = refused.expect("it is full");
+    assert_eq!(fusion.layer(stream(3)).map_or(0, Layer::len), 0, "voxels go first");
+    assert!(refused > 50 && fusion.is_in_part(stream(2)), "{refused}");
+    let now = stamp(refused);
+    assert_eq!(fusion.apply(&mapper, stream(2), &record(refused, 0.5), now.plus_micros(-1), now), Ok(0));
+    check_view(&mut fusion, &mapper);
 }

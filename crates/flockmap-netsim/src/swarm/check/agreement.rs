@@ -137,13 +137,18 @@ fn lacks_rest(robots: &[&Robot], robot: &Robot, stream: Stream) -> bool {
     if session.lost_upto(stream).is_none() || stream == robot.own_stream() || robot.is_full() {
         return false;
     }
-    let has_all = |peer: &&&Robot| {
+    // Some are asked that only seem to have all packages: what a robot cannot decode it states as held.
+    let may_give = |peer: &&&Robot| {
+        let received = peer.session().received(stream).map_or(0, IntervalSet::prefix);
+        received >= session.store().newest_known(stream)
+    };
+    let has_all = |peer: &Robot| {
         let theirs = peer.session();
         let is_heard = session.peers().any(|known| known.stream == peer.own_stream() && known.hears_us);
-        let received = theirs.received(stream).map_or(0, IntervalSet::prefix);
-        is_heard && theirs.lost_upto(stream).is_none() && received >= session.store().newest_known(stream)
+        is_heard && theirs.lost_upto(stream).is_none()
     };
-    session.rests_wanted().any(|wanted| wanted == stream) || robots.iter().any(|peer| has_all(&peer))
+    let is_wanted = session.rests_wanted().any(|wanted| wanted == stream);
+    robots.iter().filter(may_give).any(|peer| is_wanted || has_all(peer))
 }
 
 /// Whether some run that has ended is left out: then its packages may still be in flight to some robot when
