@@ -4,7 +4,8 @@ use core::cmp::Reverse;
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 
-use super::part::{Part, said_of};
+use super::part::Part;
+use super::said::said_of;
 use super::settings::Settings;
 use super::sources::Sources;
 use super::view::MapView;

@@ -2,7 +2,6 @@
 //! IV-C).
 
 mod align;
-mod clearing;
 mod dropped;
 mod dropping;
 mod fused;
@@ -14,6 +13,7 @@ mod received;
 mod region;
 mod rigid;
 mod room;
+mod said;
 mod set;
 mod settings;
 mod sources;
@@ -140,7 +140,7 @@ impl Fusion {
     /// Without any layer. `own` is this robot's stream of this run: its layer is kept for the others, while
     /// the fused map takes the own part from the mapper, where it is fresher.
     pub fn new(own: Stream, resolution: Resolution, config: FusionConfig) -> Self {
-        let settings = Settings::new(&config, resolution);
+        let settings = Settings::new(config.own_priority_micros, config.submap_clears_voxels, resolution);
         Self {
             config,
             resolution,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::Fusion;
-use super::part::said_of;
+use super::said::said_of;
 use crate::submap::BlockBox;
 use crate::{BLOCK_SIDE, BlockIndex, Mapper, Plane, RobotId, Sheet, Stamp, State, Stream, set_bits};
 

@@ -3,7 +3,6 @@
 use std::borrow::Cow;
 
 use super::align::{Alignment, Blocks, one_by_one};
-use super::clearing::clear_older;
 use super::received::Received;
 use crate::mapper::OwnBlocks;
 use crate::submap::Spans;
@@ -39,30 +38,6 @@ impl PartBlocks<'_> {
             }
         }
     }
-}
-
-/// What a part says of voxels of a target.
-pub(super) struct Said {
-    pub target: usize,
-    /// The number of the part.
-    pub part: usize,
-    pub states: StateBlock,
-}
-
-/// What parts say of voxels of the fused map, target by target. Of a crowd few know something. Where newer submaps clear
-/// older ones, targets are whole blocks.
-pub(super) fn said_of(parts: &[Part<'_>], targets: &[(BlockIndex, Plane)], clears: u8) -> Vec<Said> {
-    let mut all = Vec::new();
-    for (number, part) in parts.iter().enumerate() {
-        part.blocks(targets, |target, states| all.push(Said { target, part: number, states }));
-    }
-    all.sort_by_key(|said| said.target);
-    if clears > 0 {
-        for of_target in all.chunk_by_mut(|a, b| a.target == b.target) {
-            clear_older(of_target, parts, clears);
-        }
-    }
-    all
 }
 
 /// Whether the own map has begun a block anew since what was published there.

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use super::FusionConfig;
 use super::align::Alignment;
 use crate::{Pose, Resolution, RobotId, Sheet, Stream, SubmapId};
 
@@ -29,8 +28,7 @@ pub(super) struct Origin {
 }
 
 impl Settings {
-    pub(super) fn new(config: &FusionConfig, resolution: Resolution) -> Self {
-        let FusionConfig { own_priority_micros, submap_clears_voxels, .. } = *config;
+    pub(super) fn new(own_priority_micros: i64, submap_clears_voxels: u8, resolution: Resolution) -> Self {
         let pose = Pose::IDENTITY;
         let alignment = Alignment::new(&pose, resolution);
         let unset = Origin { pose, alignment, clock_offset_micros: 0, is_muted: false };
