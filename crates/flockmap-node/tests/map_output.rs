@@ -13,7 +13,7 @@ use common::{PATIENCE, config, corridor, frames, loopback, new_dir, swarm, wait_
 use flockmap::{MapView, Pose, RobotId, Stamp, State, SubmapId, Voxel};
 use flockmap_feed::{Address, Client, ClientError, Event, Mirror, MirrorOptions, ReaderHello};
 use flockmap_node::{
-    MapOutput, MessageLimits, Node, NodeHandle, NodeOptions, Sensor, SensorMessage, SubmapPoses, UdpSockets,
+    MapOutput, MessageLimits, Node, NodeHandle, NodeOptions, Sensor, SensorMessage, UdpSockets,
 };
 
 fn output(folder: &Path) -> MapOutput {
@@ -27,13 +27,7 @@ fn start(robots: usize, scans: usize, output: MapOutput) -> Vec<NodeHandle> {
     let start = |(k, sockets): (usize, UdpSockets)| {
         let id = k as u16 + 1;
         let frames = frames(corridor(id, scans));
-        let sensor = Sensor::Play {
-            frames,
-            submaps: SubmapPoses::default(),
-            speed: 4.0,
-            skip: Duration::ZERO,
-            begin: None,
-        };
+        let sensor = Sensor::play(frames, 4.0);
         let options = NodeOptions { sensor, map_output: output.take(), ..NodeOptions::new(config(id)) };
         Node::start(options, move || sockets.into_transport()).unwrap()
     };

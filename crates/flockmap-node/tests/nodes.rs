@@ -11,19 +11,11 @@ use common::{PATIENCE, config, corridor, frames, loopback, swarm, wait_until};
 use flockmap::{Cast, Event, Path, Resolution, RobotId, State, Stream, Transmit, Voxel, VoxelBox};
 use flockmap_node::{
     Clock, EndOptions, Level, Log, MessageLimits, Node, NodeHandle, NodeOptions, Observation, OwnedStates,
-    SendResult, Sensor, SensorMessage, StatesMessage, SubmapPoses, Transport, UdpOptions, UdpSockets,
-    UdpTransport,
+    SendResult, Sensor, SensorMessage, StatesMessage, Transport, UdpOptions, UdpSockets, UdpTransport,
 };
 
 fn play(robot: u16, scans: usize) -> Sensor {
-    let speed = 4.0;
-    Sensor::Play {
-        frames: frames(corridor(robot, scans)),
-        submaps: SubmapPoses::default(),
-        speed,
-        skip: Duration::ZERO,
-        begin: None,
-    }
+    Sensor::play(frames(corridor(robot, scans)), 4.0)
 }
 
 /// The digests of all layers that a node holds.
@@ -219,13 +211,7 @@ fn a_node_that_cannot_start_says_why() {
     robot.batch.publish_period_ms = 0;
     assert!(start(NodeOptions::new(robot)).contains("publish_period_ms is 0"));
 
-    let sensor = Sensor::Play {
-        frames: frames(corridor(1, 1)),
-        submaps: SubmapPoses::default(),
-        speed: 0.0,
-        skip: Duration::ZERO,
-        begin: None,
-    };
+    let sensor = Sensor::play(frames(corridor(1, 1)), 0.0);
     assert!(start(NodeOptions { sensor, ..NodeOptions::new(config(1)) }).contains("speed is 0"));
 
     let taken = std::net::TcpListener::bind(loopback()).unwrap();

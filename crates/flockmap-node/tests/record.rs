@@ -5,15 +5,13 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
 use common::{Shared, config, corridor, frames, new_dir, swarm, wait_until};
 use flockmap::{State, Voxel};
 use flockmap_feed::{Event, Mirror, MirrorOptions};
 use flockmap_io::{RecordOptions, open_flight, open_record};
 use flockmap_node::{
-    FlightOptions, Level, Log, Node, NodeHandle, NodeOptions, Recording, Sensor, StartError, SubmapPoses,
-    UdpSockets,
+    FlightOptions, Level, Log, Node, NodeHandle, NodeOptions, Recording, Sensor, StartError, UdpSockets,
 };
 
 const SCANS: usize = 30;
@@ -24,13 +22,7 @@ fn start(path: PathBuf, options: FlightOptions) -> (Vec<NodeHandle>, Shared<Vec<
     let mut record = Some(Recording { path, options });
     let start = |(k, sockets): (usize, UdpSockets)| {
         let id = k as u16 + 1;
-        let sensor = Sensor::Play {
-            frames: frames(corridor(id, SCANS)),
-            submaps: SubmapPoses::default(),
-            speed: 4.0,
-            skip: Duration::ZERO,
-            begin: None,
-        };
+        let sensor = Sensor::play(frames(corridor(id, SCANS)), 4.0);
         let said = Arc::clone(&lines);
         let log = Log::new(move |level, text| {
             if id == 1 && matches!(level, Level::Warning | Level::Error) {
@@ -131,13 +123,7 @@ fn a_record_that_cannot_be_made_stops_the_start() {
 fn a_start_that_fails_behind_the_record_ends_it() {
     let path = new_dir("record-start").join("flight.mcap");
     let record = Some(Recording { path: path.clone(), options: FlightOptions::default() });
-    let sensor = Sensor::Play {
-        frames: frames(corridor(1, 1)),
-        submaps: SubmapPoses::default(),
-        speed: 0.0,
-        skip: Duration::ZERO,
-        begin: None,
-    };
+    let sensor = Sensor::play(frames(corridor(1, 1)), 0.0);
     let options = NodeOptions { record, sensor, ..NodeOptions::new(config(1)) };
     let sockets = swarm(1).remove(0);
     let error = Node::start(options, move || sockets.into_transport()).unwrap_err();

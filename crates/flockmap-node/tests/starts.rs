@@ -15,7 +15,7 @@ use common::{PATIENCE, Shared, config, corridor, frames, loopback, new_dir, wait
 use flockmap::sync::SwarmKey;
 use flockmap::{RobotId, Stream};
 use flockmap_node::store::{EpochFile, Folder, Identity, Store, StoreOptions, next_epoch};
-use flockmap_node::{Clock, Log, Node, NodeHandle, NodeOptions, Sensor, SubmapPoses, UdpOptions, UdpSockets};
+use flockmap_node::{Clock, Log, Node, NodeHandle, NodeOptions, Sensor, UdpOptions, UdpSockets};
 
 const KEY: &str = "5f0c6b1e5d0b7c3a9e8f41d2c3b4a59687f0e1d2c3b4a5968778695a4b3c2d1e";
 
@@ -235,13 +235,7 @@ fn two_starts_in_this_process(case: Case, lows: [u32; 2]) {
         file.keep(drawn).unwrap();
         (options.store, options.epoch_file) = (store, Some(file));
         let seen = frames(corridor(number as u16, 20));
-        options.sensor = Sensor::Play {
-            frames: seen,
-            submaps: SubmapPoses::default(),
-            speed: 4.0,
-            skip: Duration::ZERO,
-            begin: None,
-        };
+        options.sensor = Sensor::play(seen, 4.0);
         options.log = Log::new(move |_, text| in_log.lock().unwrap().push(text.to_owned()));
         let mut sockets = UdpSockets::bind(&UdpOptions::new(loopback())).unwrap();
         sockets.add_peer(recorder.near);

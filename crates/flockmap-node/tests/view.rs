@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use common::{PATIENCE, config, corridor, frames, loopback, swarm, wait_until};
 use flockmap::{State, Voxel};
 use flockmap_feed::{Event, Mirror, MirrorOptions, ReaderHello};
-use flockmap_node::{MapOutput, Node, NodeHandle, NodeOptions, Sensor, SubmapPoses, ViewOptions};
+use flockmap_node::{MapOutput, Node, NodeHandle, NodeOptions, Sensor, ViewOptions};
 use flockmap_view::Access;
 use tokio_tungstenite::tungstenite::{self, Message, client::IntoClientRequest};
 
@@ -19,13 +19,7 @@ fn start(readers_max: usize) -> (Vec<NodeHandle>, SocketAddr) {
     let mut view = Some(ViewOptions { address: loopback(), access: Access::Loopback });
     let mut nodes = Vec::new();
     for (id, sockets) in (1..).zip(swarm(2)) {
-        let sensor = Sensor::Play {
-            frames: frames(corridor(id, 30)),
-            submaps: SubmapPoses::default(),
-            speed: 4.0,
-            skip: Duration::ZERO,
-            begin: None,
-        };
+        let sensor = Sensor::play(frames(corridor(id, 30)), 4.0);
         let map_output = Some(MapOutput { readers_max, ..MapOutput::default() });
         let options = NodeOptions { sensor, map_output, view: view.take(), ..NodeOptions::new(config(id)) };
         nodes.push(Node::start(options, move || sockets.into_transport()).unwrap());

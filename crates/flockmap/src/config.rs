@@ -114,4 +114,7 @@ pub enum RobotError {
     /// The length of submaps.
     #[error("submap_length_m is {0}, expected a number above 0, or none")]
     SubmapLength(f64),
+    /// How far newer submaps clear older ones.
+    #[error("fusion.submap_clears_voxels is {0}, expected 0 to 7")]
+    SubmapClears(u8),
 }

@@ -102,6 +102,10 @@ impl Robot {
         {
             return Err(RobotError::SubmapLength(length_m));
         }
+        // A block is 8 voxels wide.
+        if config.fusion.submap_clears_voxels > 7 {
+            return Err(RobotError::SubmapClears(config.fusion.submap_clears_voxels));
+        }
         let own = Stream { origin: config.id, epoch: config.epoch };
         let resolution = config.mapper.resolution;
         let mut session = config.session.clone();

@@ -6,7 +6,7 @@ mod common;
 use std::collections::BTreeSet;
 
 use common::{PERFECT, Radio, Swarm, config, resolution};
-use flockmap::{Pose, Robot, RobotId, Scan, Stamp, State, SubmapError, SubmapId, Voxel};
+use flockmap::{Pose, Robot, RobotConfig, RobotId, Scan, Stamp, State, SubmapError, SubmapId, Voxel};
 
 const LOSSY: Radio = Radio { loss: 0.3, duplication: 0.05, damage: 0.01, delay_ms: (1.0, 60.0) };
 
@@ -210,4 +210,18 @@ fn what_cannot_be_is_refused_and_says_why() {
     assert_eq!(robot.begin_submap(now), Err(SubmapError::Full));
     assert_eq!(robot.own_stream().origin, RobotId(1));
     assert_eq!(resolution().metres(), 0.2);
+}
+
+#[test]
+fn a_length_or_a_reach_that_cannot_be_is_named() {
+    let error = |change: fn(&mut RobotConfig)| {
+        let mut config = config(1);
+        change(&mut config);
+        Robot::new(config, Stamp(0)).err().map(|error| error.to_string())
+    };
+    let length = error(|config| config.submap_length_m = Some(0.0));
+    assert_eq!(length.unwrap(), "submap_length_m is 0, expected a number above 0, or none");
+    let clears = error(|config| config.fusion.submap_clears_voxels = 8);
+    assert_eq!(clears.unwrap(), "fusion.submap_clears_voxels is 8, expected 0 to 7");
+    assert_eq!(error(|config| config.fusion.submap_clears_voxels = 7), None);
 }

@@ -4,8 +4,8 @@ use core::cmp::Reverse;
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 
+use super::contribution::contributions;
 use super::part::Part;
-use super::said::said_of;
 use super::settings::Settings;
 use super::sources::Sources;
 use super::view::MapView;
@@ -42,25 +42,25 @@ impl Fused {
         targets: &[(BlockIndex, Plane)],
     ) -> usize {
         let (mut looked, clears) = (0, self.settings.submap_clears_voxels);
-        for targets in self.asked(targets).chunks(REFRESHED_AT_ONCE) {
+        for targets in self.widened(targets).chunks(REFRESHED_AT_ONCE) {
             let Some(around) = BlockBox::around(targets.iter().map(|(index, _)| *index)) else { continue };
             let own = self.is_own_plain(sources.own, mapper).then_some(mapper);
             let parts = self.parts(sources, mapper, &around);
-            let all_said = said_of(&parts, targets, clears);
-            let mut rest = all_said.as_slice();
+            let contributions = contributions(&parts, targets, clears);
+            let mut rest = contributions.as_slice();
             let mut fused = Vec::with_capacity(targets.len());
             for (number, (index, mask)) in targets.iter().enumerate() {
-                let (said, later) = rest.split_at(rest.partition_point(|said| said.target <= number));
+                let (block, later) = rest.split_at(rest.partition_point(|one| one.target <= number));
                 rest = later;
                 let own_block = own.and_then(|own| own.block(*index)).map(|block| block.masked(mask));
-                let all = || said.iter().map(|said| &said.states).chain(&own_block);
+                let all = || block.iter().map(|one| &one.states).chain(&own_block);
                 let [free, occupied] = [StateBlock::free, StateBlock::occupied].map(|plane| {
                     all().fold([0; 8], |any, states| core::array::from_fn(|z| any[z] | plane(states)[z]))
                 });
                 let mut states = StateBlock::new(free, occupied);
                 for bit in set_bits(&core::array::from_fn(|z| free[z] & occupied[z])) {
-                    let known_by = said.iter().filter(|said| said.states.get(bit) != State::Unknown);
-                    let known_by = known_by.map(|said| &parts[said.part]).inspect(|_| looked += 1);
+                    let known_by = block.iter().filter(|one| one.states.get(bit) != State::Unknown);
+                    let known_by = known_by.map(|one| &parts[one.part]).inspect(|_| looked += 1);
                     let last = self.last_observation(known_by, sources.own.origin, own, index.voxel(bit));
                     states.set(bit, last.map_or(State::Unknown, |(state, _)| state));
                 }
@@ -74,8 +74,8 @@ impl Fused {
         looked
     }
 
-    /// What is to be worked out for these voxels: where newer submaps clear older ones, whole blocks.
-    pub(super) fn asked<'a>(&self, targets: &'a [(BlockIndex, Plane)]) -> Cow<'a, [(BlockIndex, Plane)]> {
+    /// These voxels, or their whole blocks where newer submaps clear older ones: an obstacle then has a say all around it.
+    pub(super) fn widened<'a>(&self, targets: &'a [(BlockIndex, Plane)]) -> Cow<'a, [(BlockIndex, Plane)]> {
         match self.settings.submap_clears_voxels {
             0 => Cow::Borrowed(targets),
             _ => Cow::Owned(targets.iter().map(|(index, _)| whole(*index)).collect()),

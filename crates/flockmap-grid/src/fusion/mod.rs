@@ -2,6 +2,7 @@
 //! IV-C).
 
 mod align;
+mod contribution;
 mod dropped;
 mod dropping;
 mod fused;
@@ -13,7 +14,6 @@ mod received;
 mod region;
 mod rigid;
 mod room;
-mod said;
 mod set;
 mod settings;
 mod sources;
@@ -46,9 +46,9 @@ pub struct FusionConfig {
     /// Microseconds; default 1 s.
     #[cfg_attr(feature = "serde", serde(rename = "own_priority_ms", with = "crate::units::Times::<1_000>"))]
     pub own_priority_micros: i64,
-    /// Where a submap of a run has an obstacle, obstacles that older submaps of that run have within so many voxels of it
-    /// go (in blocks of 8³ voxels, each by itself): it is the same wall, put right not quite to where it is seen now. They
-    /// become Unknown, where nobody else says something of them. 0 to 7; 0, the default: nothing goes, newest stamps decide.
+    /// Obstacles of a submap are cleared where a newer submap of the same run has one within so many voxels, in the same
+    /// block of 8³: it is the same wall, not put right quite to where it is seen now. A cleared voxel is what other parts
+    /// know of it, else Unknown. 0 to 7; default 0: nothing is cleared, the newest stamp decides.
     pub submap_clears_voxels: u8,
     /// Most bytes that the layers of all other streams may hold together, with what they add to the fused
     /// map; beyond that what is far and old is dropped for what is near and new. A block of 8³ voxels takes 0.5 to

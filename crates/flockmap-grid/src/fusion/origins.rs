@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::Fusion;
-use super::said::said_of;
+use super::contribution::contributions;
 use crate::submap::BlockBox;
 use crate::{BLOCK_SIDE, BlockIndex, Mapper, Plane, RobotId, Sheet, Stamp, State, Stream, set_bits};
 
@@ -21,10 +21,11 @@ impl Fusion {
         let mut contested = [0u64; 8];
         let mut others = BTreeMap::<RobotId, Plane>::new();
         let parts = self.shown.parts(&self.sources, mapper, &BlockBox::new(index));
-        let said = said_of(&parts, &self.shown.asked(&targets), self.shown.settings.submap_clears_voxels);
-        for said in &said {
-            let new = said.states.masked(&targets[0].1).known();
-            let plane = others.entry(parts[said.part].stream.origin).or_default();
+        let clears = self.shown.settings.submap_clears_voxels;
+        let contributions = contributions(&parts, &self.shown.widened(&targets), clears);
+        for one in &contributions {
+            let new = one.states.masked(&targets[0].1).known();
+            let plane = others.entry(parts[one.part].stream.origin).or_default();
             for z in 0..8 {
                 contested[z] |= seen[z] & new[z];
                 plane[z] |= new[z] & !seen[z];
@@ -34,8 +35,8 @@ impl Fusion {
         for bit in set_bits(&contested) {
             let (word, mask) = (bit / 64, 1 << (bit % 64));
             others.values_mut().for_each(|plane| plane[word] &= !mask);
-            let known_by = said.iter().filter(|said| said.states.get(bit) != State::Unknown);
-            let known_by = known_by.map(|said| &parts[said.part]);
+            let known_by = contributions.iter().filter(|one| one.states.get(bit) != State::Unknown);
+            let known_by = known_by.map(|one| &parts[one.part]);
             let id_own = self.sources.own.origin;
             if let Some((_, id)) = self.shown.last_observation(known_by, id_own, own, index.voxel(bit)) {
                 others.entry(id).or_default()[word] |= mask;

@@ -34,8 +34,7 @@ pub enum Sensor {
     Play {
         /// The frames.
         frames: Frames,
-        /// How the submaps of the record lie, from when on; empty if it says nothing of them. The node then begins
-        /// none by the way.
+        /// How the submaps of the recording lie, and from when on; empty: it says nothing of submaps.
         submaps: SubmapPoses,
         /// How fast they are played: 2.0 is twice as fast as recorded.
         speed: f64,
@@ -63,6 +62,11 @@ pub enum Sensor {
 }
 
 impl Sensor {
+    /// [`Self::Play`] from the beginning, as soon as the node runs, without submaps.
+    pub fn play(frames: Frames, speed: f64) -> Self {
+        Self::Play { frames, submaps: SubmapPoses::default(), speed, skip: Duration::ZERO, begin: None }
+    }
+
     /// Where it listens, for errors.
     pub(crate) fn place(&self) -> String {
         match self {

@@ -85,10 +85,10 @@ struct Frame {
     voxels: BTreeMap<Voxel, (State, Stamp)>,
 }
 
-/// What a frame says of voxels of the fused map: when that was made, whether Occupied.
-struct Word {
+/// What a frame knows of voxels of the fused map: when that was observed, whether Occupied.
+struct Observed {
     of: (Stream, u16),
-    says: BTreeMap<Voxel, (Stamp, bool)>,
+    voxels: BTreeMap<Voxel, (Stamp, bool)>,
 }
 
 /// What lies in one frame of a layer: for each submap and sheet. Without blocks of which the submap is not known.
@@ -122,8 +122,8 @@ fn frames_of(
     frames.into_values().collect()
 }
 
-/// What a frame says of each voxel of the fused map.
-fn say(Frame { of, pose, voxels }: &Frame, made: impl Fn(Stamp) -> Stamp) -> Word {
+/// What a frame knows of each voxel of the fused map.
+fn observe(Frame { of, pose, voxels }: &Frame, made: impl Fn(Stamp) -> Stamp) -> Observed {
     let resolution = resolution();
     let mut images = BTreeMap::<Voxel, Stamp>::new();
     for (voxel, (_, stamp)) in voxels.iter().filter(|(_, (state, _))| *state == State::Occupied) {
@@ -140,34 +140,34 @@ fn say(Frame { of, pose, voxels }: &Frame, made: impl Fn(Stamp) -> Stamp) -> Wor
             (0..125).map(move |n| Voxel::new(v.x + n % 5 - 2, v.y + n / 5 % 5 - 2, v.z + n / 25 - 2))
         })
         .collect();
-    let mut says = BTreeMap::new();
+    let mut observed = BTreeMap::new();
     for target in near {
         assert!(everywhere.contains(target));
         let occupied = images.get(&target).map(|stamp| (made(*stamp), true));
         let source = resolution.voxel_at(back.transform(resolution.centre(target))).unwrap();
         let free = voxels.get(&source).filter(|(state, _)| *state == State::Free);
-        let said = occupied.or_else(|| free.map(|(_, stamp)| (made(*stamp), false)));
-        says.extend(said.map(|said| (target, said)));
+        let newest = occupied.or_else(|| free.map(|(_, stamp)| (made(*stamp), false)));
+        observed.extend(newest.map(|newest| (target, newest)));
     }
-    Word { of: *of, says }
+    Observed { of: *of, voxels: observed }
 }
 
 /// Takes out obstacles that lie within so many voxels, in the same block, of those of a newer submap of the stream.
-fn clear_older(words: &mut [Word], voxels: u8) {
+fn clear_older(observed: &mut [Observed], voxels: u8) {
     let is_near = |a: Voxel, b: Voxel| {
         let apart = [a.x - b.x, a.y - b.y, a.z - b.z].map(i32::abs);
         a.block() == b.block() && apart.into_iter().all(|apart| apart <= i32::from(voxels))
     };
-    let obstacles: Vec<_> = words
+    let obstacles: Vec<_> = observed
         .iter()
-        .flat_map(|word| {
-            word.says.iter().filter(|(_, (_, is_occupied))| *is_occupied).map(|(at, _)| (word.of, *at))
+        .flat_map(|one| {
+            one.voxels.iter().filter(|(_, (_, is_occupied))| *is_occupied).map(|(at, _)| (one.of, *at))
         })
         .collect();
-    for Word { of: (stream, submap), says } in words.iter_mut().filter(|_| voxels > 0) {
+    for Observed { of: (stream, submap), voxels: known } in observed.iter_mut().filter(|_| voxels > 0) {
         let newer = obstacles.iter().filter(|((of, other), _)| of == stream && other > submap);
         let newer: Vec<Voxel> = newer.map(|(_, at)| *at).collect();
-        says.retain(|at, (_, is_occupied)| !*is_occupied || newer.iter().all(|other| !is_near(*at, *other)));
+        known.retain(|at, (_, is_occupied)| !*is_occupied || newer.iter().all(|other| !is_near(*at, *other)));
     }
 }
 
@@ -183,7 +183,7 @@ struct Model {
 
 impl Model {
     fn map(&self, mapper: &Mapper, fusion: &Fusion) -> BTreeMap<Voxel, State> {
-        let mut words = Vec::new();
+        let mut observed = Vec::new();
         let none = Known::default();
         let priority = fusion.config.own_priority_micros;
         let own = self.known.get(&OWN.origin.0).unwrap_or(&none);
@@ -206,7 +206,7 @@ impl Model {
                 mapper.place_of(local).is_some_and(|(_, now)| now > sheet)
             }));
         }
-        words.extend(frames.iter().map(|frame| say(frame, |stamp| stamp.plus_micros(priority))));
+        observed.extend(frames.iter().map(|frame| observe(frame, |stamp| stamp.plus_micros(priority))));
         for (stream, layer) in fusion.layers().filter(|(stream, _)| *stream != OWN) {
             let came_by = |stamp: Stamp| {
                 let as_new = self.arrivals.iter().filter(|(of, newest, _)| *of == stream && *newest >= stamp);
@@ -216,13 +216,13 @@ impl Model {
             let known = self.known.get(&stream.origin.0).unwrap_or(&none);
             let origin = self.alignments.get(&stream.origin.0).copied().unwrap_or_default();
             let frames = frames_of(stream, layer, known, false, origin, |_, _| true);
-            words.extend(frames.iter().map(|frame| say(frame, came_by)));
+            observed.extend(frames.iter().map(|frame| observe(frame, came_by)));
         }
-        clear_older(&mut words, fusion.config.submap_clears_voxels);
+        clear_older(&mut observed, fusion.config.submap_clears_voxels);
         let mut last = BTreeMap::<Voxel, (Stamp, bool)>::new();
-        for (voxel, said) in words.into_iter().flat_map(|word| word.says) {
-            let newest = last.entry(voxel).or_insert(said);
-            *newest = said.max(*newest);
+        for (voxel, one) in observed.into_iter().flat_map(|one| one.voxels) {
+            let newest = last.entry(voxel).or_insert(one);
+            *newest = one.max(*newest);
         }
         last.into_iter()
             .map(|(voxel, (_, is_occupied))| (voxel, if is_occupied { State::Occupied } else { State::Free }))
