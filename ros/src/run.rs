@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, bail};
-use flockmap_node::{Configuration, ConfiguredNode, Log, RosPoses, Sensor};
+use flockmap_node::{Configuration, ConfiguredNode, Embedding, Log, RosPoses, Sensor};
 
 use crate::arguments::RosArguments;
 use crate::clock::RosClock;
@@ -53,7 +53,8 @@ pub(crate) fn run(config: Option<&Path>, arguments: &RosArguments) -> Result<()>
     let diagnostics = diagnostics(&mut topics, &section)?;
 
     let (frames, frames_in) = tokio::sync::mpsc::channel(FRAMES_WAITING_MAX);
-    let node = ConfiguredNode::start_with(configuration, Some(Sensor::Channel(frames_in)), log.clone())?;
+    let embedding = Embedding { sensor: Some(Sensor::Channel(frames_in)), ..Embedding::default() };
+    let node = ConfiguredNode::start_with(configuration, embedding, log.clone())?;
     let clock = Arc::new(RosClock::new(node.node.clock(), section.use_sim_time));
     log.info(format!(
         "{} takes scans from {} and poses from {}",

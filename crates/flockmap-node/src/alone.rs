@@ -14,8 +14,9 @@ pub(crate) struct Alone {
 }
 
 impl Alone {
-    pub(crate) fn new(began: Instant) -> Self {
-        Self { due: Some(began + PATIENCE) }
+    /// `hears_others`: on its radio somebody may be heard.
+    pub(crate) fn new(began: Instant, hears_others: bool) -> Self {
+        Self { due: hears_others.then(|| began + PATIENCE) }
     }
 
     /// When to look.
@@ -60,7 +61,7 @@ mod tests {
 
     fn after(seconds: u64, is_heard: bool, counters: NodeCounters) -> Option<String> {
         let began = Instant::now();
-        let mut alone = Alone::new(began);
+        let mut alone = Alone::new(began, true);
         let said = alone.poll(began + Duration::from_secs(seconds), is_heard, &counters);
         assert_eq!(alone.poll(began + Duration::from_secs(1_000), true, &counters), None, "once");
         said

@@ -91,7 +91,7 @@ impl<T: Transport> Driver<T> {
             clock_steps,
             warnings: Warnings::default(),
             said_full: [false; 2],
-            alone: Alone::new(now),
+            alone: Alone::new(now, T::HEARS_OTHERS),
             counters: NodeCounters::default(),
             timings: Timings::default(),
             recent_age: histogram(),

@@ -68,12 +68,12 @@ pub use map_output::{MapOutput, MapReaders, links_of, poses_of, submaps_of};
 pub use node::{Ended, Node, NodeHandle, StartError};
 pub use options::{EndOptions, NodeOptions, Observation, Observer};
 pub use recorder::Recording;
-pub use run::{ConfiguredNode, run};
+pub use run::{ConfiguredNode, Embedding, run};
 pub use sensor::{
     MESSAGE_VERSION, MessageError, MessageLimits, OwnedStates, Sensor, SensorMessage, StatesMessage,
 };
 pub use status::{GivenUp, Histogram, NodeCounters, NodeStatus, StreamStatus, Timings};
 pub use store_writer::StoreWriter;
 pub use summary::{StreamSummary, Summary, TimingSummary};
-pub use transport::{SendResult, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};
+pub use transport::{NoRadio, SendResult, Transport, UdpError, UdpOptions, UdpSockets, UdpTransport};
 pub use web::ViewOptions;

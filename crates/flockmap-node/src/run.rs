@@ -2,6 +2,9 @@
 
 use std::env::VarError;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::{fmt, io};
 
 use anyhow::{Context, Result, anyhow, bail};
 use flockmap::sync::SwarmKey;
@@ -13,8 +16,8 @@ use crate::kept::Kept;
 use crate::outputs::Report;
 use crate::sensor::repeated;
 use crate::{
-    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, RosSection, Sensor,
-    UdpSockets, ViewOptions, outputs,
+    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Observer, RosSection, Sensor,
+    Transport, UdpOptions, UdpSockets, ViewOptions, outputs,
 };
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
@@ -32,7 +35,7 @@ pub fn run(config_path: &Path) -> Result<()> {
         let _context = runtime.enter();
         Signals::new().context("cannot listen to signals")?
     };
-    let node = ConfiguredNode::start_with(configuration, None, log)?;
+    let node = ConfiguredNode::start_with(configuration, Embedding::default(), log)?;
     runtime.block_on(until_ended(&node.node, signals, &node.log));
     let (config, log) = (node.config, node.log);
     let ended = node.node.join()?;
@@ -56,16 +59,38 @@ impl ConfiguredNode {
     pub fn start(config_path: &Path, log: Option<Log>) -> Result<Self> {
         let configuration = Configuration::read(config_path)?;
         let log = log.unwrap_or_else(|| Log::to_stderr(&configuration.config.robot_name()));
-        Self::start_with(configuration, None, log)
+        Self::start_with(configuration, Embedding::default(), log)
     }
 
-    /// Starts the robot of a configuration that was read. Its scans come from `sensor` if that is given, and from what
-    /// `[sensor]` says if not.
+    /// Starts the robot of a configuration that was read, on the radio that `[network]` says.
     ///
     /// # Errors
     /// As of [`Self::start`]; and a source of scans in `[sensor]` beside the one that is given.
-    pub fn start_with(configuration: Configuration, sensor: Option<Sensor>, log: Log) -> Result<Self> {
-        let node = start(&configuration, sensor, &log)
+    pub fn start_with(configuration: Configuration, embedding: Embedding, log: Log) -> Result<Self> {
+        let open = |config: &NodeConfig, log: &Log| {
+            let sockets = UdpSockets::bind(&config.network)?;
+            log.info(format!("listens on {}", sockets.local_addr()?));
+            let UdpOptions { peers, broadcast, multicast, .. } = &config.network;
+            if peers.is_empty() && broadcast.is_none() && multicast.is_none() {
+                log.warn("[network] has no peers, broadcast or multicast: this robot sends to nobody before somebody sends to it");
+            }
+            Ok(move || sockets.into_transport())
+        };
+        Self::start_over(configuration, embedding, open, log)
+    }
+
+    /// The same over a transport of the program's own, in place of `[network]`: `open` gets what is needed for it, and
+    /// what it returns makes it, in the thread of the node.
+    ///
+    /// # Errors
+    /// As of [`Self::start_with`].
+    pub fn start_over<T: Transport, M: FnOnce() -> io::Result<T> + Send + 'static>(
+        configuration: Configuration,
+        embedding: Embedding,
+        open: impl FnOnce(&NodeConfig, &Log) -> Result<M>,
+        log: Log,
+    ) -> Result<Self> {
+        let node = start(&configuration, embedding, open, &log)
             // Whatever names a key says where in the file that is.
             .map_err(|error| anyhow!(configuration.places.locate(&format!("{error:#}"))))?;
         Ok(Self { node, config: configuration.config, log })
@@ -84,9 +109,32 @@ impl ConfiguredNode {
     }
 }
 
+/// What a program that has a node in it brings along.
+#[derive(Default)]
+pub struct Embedding {
+    /// Where scans come from, in place of what `[sensor]` says.
+    pub sensor: Option<Sensor>,
+    /// Called with every scan and event.
+    pub observer: Option<Observer>,
+    /// Counters of the program, given out with the node's own.
+    pub counters: Vec<(&'static str, Arc<AtomicU64>)>,
+}
+
+impl fmt::Debug for Embedding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Embedding").field("sensor", &self.sensor).finish_non_exhaustive()
+    }
+}
+
 /// Looks at all that can be wrong, and then starts.
-fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Result<NodeHandle> {
+fn start<T: Transport, M: FnOnce() -> io::Result<T> + Send + 'static>(
+    configuration: &Configuration,
+    embedding: Embedding,
+    open: impl FnOnce(&NodeConfig, &Log) -> Result<M>,
+    log: &Log,
+) -> Result<NodeHandle> {
     let Configuration { config, places, path } = configuration;
+    let Embedding { sensor: given, observer, counters } = embedding;
     check_applies(places, given.is_some())?;
     outputs::check(&config.output)?;
     outputs::check_record(&config.record)?;
@@ -95,8 +143,7 @@ fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Res
         None => sensor(config, log)?,
     };
     let swarm_key = swarm_key(config, path, log)?;
-    let sockets = UdpSockets::bind(&config.network)?;
-    let address = sockets.local_addr()?;
+    let make_transport = open(config, log)?;
     // Last, as an epoch is used up.
     let kept = Kept::open(config, &config.robot(0)?, u32::from_le_bytes(random_bytes()?), log)?;
     let mut options = NodeOptions::new(config.robot(kept.epoch)?);
@@ -116,9 +163,10 @@ fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Res
     options.status_period = (!period.is_zero()).then_some(period);
     options.end = config.end_options()?;
     options.log = log.clone();
+    (options.observer, options.counters_beside) = (observer, counters);
     let own = (options.robot.id, options.robot.epoch);
-    let node = Node::start(options, move || sockets.into_transport())?;
-    log.info(format!("robot {} epoch {} listens on {address}", own.0, own.1));
+    let node = Node::start(options, make_transport)?;
+    log.info(format!("robot {} epoch {} has started", own.0, own.1));
     if let Some(sensor) = node.sensor_address() {
         log.info(format!("takes scans at {sensor}"));
     }
@@ -130,10 +178,6 @@ fn start(configuration: &Configuration, given: Option<Sensor>, log: &Log) -> Res
     }
     if let Some(address) = node.prometheus_address() {
         log.info(format!("serves counters at http://{address}/metrics"));
-    }
-    let network = &config.network;
-    if network.peers.is_empty() && network.broadcast.is_none() && network.multicast.is_none() {
-        log.warn("[network] has no peers, broadcast or multicast: this robot sends to nobody before somebody sends to it");
     }
     Ok(node)
 }
@@ -275,7 +319,7 @@ struct Signals {
 
 #[cfg(unix)]
 impl Signals {
-    fn new() -> std::io::Result<Self> {
+    fn new() -> io::Result<Self> {
         use tokio::signal::unix::{SignalKind, signal};
         Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
     }

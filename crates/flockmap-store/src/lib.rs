@@ -25,8 +25,9 @@ mod record;
 mod segment;
 mod store;
 mod store_log;
+mod stream_copy;
 
-pub use compaction::{Compacted, Compaction, StreamCopy};
+pub use compaction::{Compacted, Compaction};
 pub use counters::{Restored, StoreCounters};
 pub use disk::{Disk, DiskFile};
 pub use epoch::{EpochFault, EpochFile, EpochsExhausted, next_epoch};
@@ -37,3 +38,4 @@ pub use record::Contents;
 pub use segment::{Identity, STORE_VERSION};
 pub use store::Store;
 pub use store_log::{BYTES_MAX_MIN, Notice, StoreLog, StoreOptions, contents_of, packages_of};
+pub use stream_copy::{Coded, StreamCopy};

@@ -64,7 +64,7 @@ pub enum Event {
     },
     /// All chunks of a snapshot of a history with gaps are merged: these packages of the stream now count as
     /// held. A driver that stores its chunks stores this too
-    /// ([`deliver_stored_contents`](crate::Session::deliver_stored_contents)). [`Self::CaughtUp`] follows.
+    /// ([`deliver_contents`](crate::Session::deliver_contents)). [`Self::CaughtUp`] follows.
     SnapshotContains {
         /// The stream.
         stream: Stream,

@@ -143,11 +143,11 @@ impl Session {
         Ok(())
     }
 
-    /// Delivers a package, or a chunk of a snapshot, that a former run stored on disk: as if it had just come
-    /// from a peer, so that it is decoded and merged like any other ([`Event::Received`]) and asked for only
-    /// if that fails. For the time before the first datagram comes. `false`: it is of the own stream, or
-    /// there is no room for its stream.
-    pub fn deliver_stored(&mut self, now: Stamp, package: Package) -> bool {
+    /// Delivers a package, or a chunk of a snapshot, that came by another way than a datagram: a former run stored it on
+    /// disk, or it came over another network. As if it had just come from a peer: it is decoded and merged like any other
+    /// ([`Event::Received`]), asked for only if that fails, and offered to peers. `false`: it is of the own stream, or there
+    /// is no room for its stream.
+    pub fn deliver_package(&mut self, now: Stamp, package: Package) -> bool {
         let now = self.advance(now);
         let stream = package.header().stream;
         if stream == self.identity.own || !self.open_stream(stream) {
@@ -157,10 +157,10 @@ impl Session {
         true
     }
 
-    /// Says which packages a snapshot contains whose chunks were just [delivered](Self::deliver_stored), one
+    /// Says which packages a snapshot contains whose chunks were just [delivered](Self::deliver_package), one
     /// of a history with gaps. Whether they are held now: if all its chunks are accepted. Else they count
     /// when the rest of them is.
-    pub fn deliver_stored_contents(
+    pub fn deliver_contents(
         &mut self,
         now: Stamp,
         stream: Stream,

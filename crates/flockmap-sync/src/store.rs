@@ -166,7 +166,7 @@ impl Store {
 
     /// Below every stamp of the packages after `since`. `None` if that is not known: then only the whole
     /// state will do.
-    pub(crate) fn newer_than(&self, stream: Stream, since: u32) -> Option<Stamp> {
+    pub fn newer_than(&self, stream: Stream, since: u32) -> Option<Stamp> {
         let next = since.checked_add(1).filter(|_| since > 0)?;
         Some(Stamp(self.stamp_not_after(stream, next)?.0.checked_sub(1)?))
     }

@@ -70,7 +70,7 @@ impl Victim {
         let chunks =
             self.encoder.encode_snapshot(Codec::Raw, stream, upto, resolution, &state, 1_150).unwrap();
         for chunk in chunks {
-            assert!(self.session.deliver_stored(self.now, chunk));
+            assert!(self.session.deliver_package(self.now, chunk));
         }
         while let Some(event) = self.session.poll_event() {
             if let Event::Received(chunk) = event {

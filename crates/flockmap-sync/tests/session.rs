@@ -515,7 +515,7 @@ fn a_store_from_disk_is_put_back() {
     let now = Stamp(swarm.now + robot.clock);
     for stream in [one, two] {
         for (_, stored) in old.session.store().range(stream, 1, u32::MAX) {
-            assert!(robot.session.deliver_stored(now, stored.package.clone()));
+            assert!(robot.session.deliver_package(now, stored.package.clone()));
         }
     }
     swarm.drive(1);

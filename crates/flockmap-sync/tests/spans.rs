@@ -178,7 +178,7 @@ fn sets_that_nothing_more_comes_of_take_no_place_from_one_that_goes_on() {
     let robot = swarm.robots.get_mut(&2).unwrap();
     let now = Stamp(swarm.now + robot.clock);
     for chunk in sets.iter().flatten() {
-        assert!(robot.session.deliver_stored(now, chunk.clone()));
+        assert!(robot.session.deliver_package(now, chunk.clone()));
     }
     swarm.drive(2);
     assert_eq!(swarm.robots[&2].session.load().transfers, 2, "both wait for what is before them");

@@ -18,6 +18,9 @@ pub use udp::{UdpSockets, UdpTransport};
 ///
 /// It lives on the one thread of its node, within a tokio runtime.
 pub trait Transport: 'static {
+    /// Whether others may be heard on it. Where not, nobody wonders at that.
+    const HEARS_OTHERS: bool = true;
+
     /// Waits for the next datagram and writes it to `buffer`; returns its length, and the path on which it
     /// came: the same for all that come from one address, and never that of another address. Dropping the
     /// future loses nothing. An error is counted, and the node goes on.
@@ -40,4 +43,22 @@ pub struct SendResult {
     pub copies: u32,
     /// Copies that could not be sent.
     pub failed: u32,
+}
+
+/// No radio at all: for a node that gets packages of others by another way, [`flockmap::Robot::receive_package`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoRadio;
+
+impl Transport for NoRadio {
+    const HEARS_OTHERS: bool = false;
+
+    async fn receive(&mut self, _: &mut [u8]) -> io::Result<(usize, Path)> {
+        std::future::pending().await
+    }
+
+    fn set_paths(&mut self, _: &[Path]) {}
+
+    async fn send(&mut self, _: &Transmit) -> SendResult {
+        SendResult::default()
+    }
 }

@@ -69,7 +69,8 @@ impl Session {
         if let Some(theirs) = self.peers.get_mut(&from).and_then(|peer| peer.theirs(stream, now)) {
             theirs.note_received(index);
         }
-        if self.config.cast == Cast::Broadcast {
+        // What did not come over the radio, nobody has heard.
+        if self.config.cast == Cast::Broadcast && from != self.identity.own.origin {
             let item = Item::Package { stream, index };
             self.outbox.broadcasts.note_heard(now, from, item);
             for peer in self.peers.values_mut().filter(|peer| peer.is_planned(stream)) {

@@ -267,7 +267,7 @@ impl Run<'_> {
             3 => {
                 let (stream, index) = (made::stream(choices), made::index(choices));
                 let package = self.maker.package(stream, index, choices.below(2) == 0);
-                self.session.deliver_stored(self.now, package);
+                self.session.deliver_package(self.now, package);
             }
             // A clock that is set back.
             _ => self.session.handle_timeout(Stamp(i64::from(choices.byte()))),

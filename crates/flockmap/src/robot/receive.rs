@@ -5,13 +5,33 @@ use flockmap_grid::{Changes, Snapshot, Stamp, Stream};
 use flockmap_mutation::{self as mutation, Mutation};
 use flockmap_sync::Verdict;
 
-use super::Robot;
+use super::{RestoreError, Robot};
 use crate::effort::MERGE_BLOCK_STEPS;
 use crate::readers::{Readers, SnapshotId};
 use crate::snapshots::Wanted;
 use crate::{Event, Refusal};
 
 impl Robot {
+    /// Takes in a package of another robot, or a chunk of a snapshot, that came by another way than the radio: over a
+    /// network of its own, from an archive. It is decoded, checked, merged and held as one that was received, and offered
+    /// to peers; what builds on a package that is lacking waits for it. One that is known already, or is of the own run,
+    /// changes nothing. At most 1,024 may wait for the call that merges them: more are dropped and counted, and can be
+    /// given again. What a snapshot of a history with gaps contains is said behind its chunks by
+    /// [`Self::restore_contents`].
+    ///
+    /// # Errors
+    /// [`RestoreError::NoRoom`]; nothing is changed then. That one does not decode is an event, as for every package.
+    pub fn receive_package(&mut self, now: Stamp, package: Package) -> Result<(), RestoreError> {
+        let stream = package.header().stream;
+        if stream == self.own_stream() {
+            return Ok(());
+        }
+        let now = self.advance(now);
+        let has_room = self.session.deliver_package(now, package);
+        self.after_datagram(now);
+        if has_room { Ok(()) } else { Err(RestoreError::NoRoom(stream)) }
+    }
+
     /// Gives the events of the session their answers, as far as this call has time for it.
     pub(super) fn answer_session(&mut self, now: Stamp) {
         use flockmap_sync::Event as SessionEvent;

@@ -48,7 +48,7 @@ impl Robot {
         let now = self.advance(now);
         // What waited for it is merged with it: what comes next from the store may need all of that.
         self.merge_steps_left = u64::MAX;
-        let is_taken = self.session.deliver_stored(now, package);
+        let is_taken = self.session.deliver_package(now, package);
         self.answer_session(now);
         if is_taken { Ok(()) } else { Err(RestoreError::NoRoom(got)) }
     }
@@ -70,7 +70,7 @@ impl Robot {
         }
         let now = self.advance(now);
         let received = IntervalSet::from_intervals(RECEIVED_INTERVALS_MAX, received.to_vec());
-        let is_received = self.session.deliver_stored_contents(now, stream, snapshot_id, received);
+        let is_received = self.session.deliver_contents(now, stream, snapshot_id, received);
         self.answer_session(now);
         is_received
     }

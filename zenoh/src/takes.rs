@@ -1,0 +1,200 @@
+//! From Zenoh to the node: what is put, and what was asked for, is checked and given to the robot.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::time::Duration;
+
+use flockmap::Package;
+use flockmap::codec::PACKAGE_BYTES_MAX;
+use flockmap::sync::RECEIVED_INTERVALS_MAX;
+use flockmap_node::NodeHandle;
+use flockmap_node::store::Contents;
+use zenoh::sample::{Sample, SampleKind};
+
+use crate::counters::Counters;
+use crate::held::parse_intervals;
+use crate::keys::{Item, Keys};
+use crate::puts::{Noted, item_of};
+
+/// Bytes that may wait for the robot of what is put by anybody, and of what was asked for.
+const PUT_BYTES_MAX: usize = 8 << 20;
+const FETCHED_BYTES_MAX: usize = 64 << 20;
+/// What is counted for each beside its bytes.
+const OVERHEAD_BYTES: usize = 200;
+/// Packages given to the robot in one call.
+const AT_ONCE: usize = 64;
+/// While the robot still merges what it got.
+const PAUSE: Duration = Duration::from_millis(1);
+/// Longest text of what a snapshot contains.
+const CONTENTS_BYTES_MAX: usize = 22 * RECEIVED_INTERVALS_MAX;
+
+/// Something for the robot.
+enum Take {
+    Package(Package),
+    Contents(Contents),
+    /// All before this has been given to the robot, and it has merged it.
+    Fence(SyncSender<()>),
+}
+
+/// How something came.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum By {
+    /// It was put.
+    Put,
+    /// It was asked for.
+    Answer,
+}
+
+/// Where what comes waits for the robot.
+#[derive(Clone)]
+pub(crate) struct Intake {
+    keys: Keys,
+    takes: Sender<(Take, usize)>,
+    waiting_bytes: Arc<AtomicUsize>,
+    noted: Noted,
+    counters: Counters,
+}
+
+impl Intake {
+    /// And its other end.
+    pub(crate) fn new(keys: Keys, noted: Noted, counters: Counters) -> (Self, Outlet) {
+        let (takes, takes_in) = channel();
+        let waiting_bytes = Arc::<AtomicUsize>::default();
+        let outlet = Outlet {
+            takes: takes_in,
+            waiting_bytes: Arc::clone(&waiting_bytes),
+            noted: noted.clone(),
+            counters: counters.clone(),
+        };
+        (Self { keys, takes, waiting_bytes, noted, counters }, outlet)
+    }
+
+    /// Checks what came; it waits for the robot then. Called in threads of Zenoh: never waits. Whatever the key and the
+    /// value are, they are only looked at if they can be of this swarm; a value is copied only if it is short enough.
+    pub(crate) fn take(&self, sample: &Sample, by: By) {
+        let Self { counters, .. } = self;
+        let Some(take) = self.read(sample) else { return counters.refused.add(1) };
+        let length = sample.payload().len();
+        let bytes = length + OVERHEAD_BYTES;
+        let (count, count_bytes, bytes_max) = match by {
+            By::Put => (&counters.taken, &counters.taken_bytes, PUT_BYTES_MAX),
+            By::Answer => (&counters.fetched, &counters.fetched_bytes, FETCHED_BYTES_MAX),
+        };
+        count.add(1);
+        count_bytes.add(length as u64);
+        if self.waiting_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > bytes_max
+            || self.takes.send((take, bytes)).is_err()
+        {
+            self.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
+            counters.dropped.add(1);
+        }
+    }
+
+    /// What a sample says; `None` if nothing, or not what its key says.
+    fn read(&self, sample: &Sample) -> Option<Take> {
+        if sample.kind() != SampleKind::Put {
+            return None;
+        }
+        let (swarm, item) = Item::parse(sample.key_expr().as_str())?;
+        let payload = sample.payload();
+        if swarm != self.keys.swarm {
+            return None;
+        }
+        match item {
+            Item::Package { .. } | Item::Chunk { .. } => {
+                let bytes = (payload.len() <= PACKAGE_BYTES_MAX).then(|| payload.to_bytes())?;
+                let package = Package::parse(&bytes).ok().filter(|package| Item::of(package) == item)?;
+                Some(Take::Package(package))
+            }
+            Item::Contents { stream, snapshot_id } => {
+                let bytes = (payload.len() <= CONTENTS_BYTES_MAX).then(|| payload.to_bytes())?;
+                let held = parse_intervals(core::str::from_utf8(&bytes).ok()?)?;
+                let intervals = held.intervals().to_vec();
+                Some(Take::Contents(Contents { stream, snapshot_id, intervals }))
+            }
+        }
+    }
+
+    /// Waits until the robot has merged what came before; not at all once the node has ended.
+    pub(crate) fn wait_merged(&self) {
+        let (done, is_done) = sync_channel(1);
+        if self.takes.send((Take::Fence(done), 0)).is_ok() {
+            // An error means that the node has ended.
+            let _ = is_done.recv();
+        }
+    }
+
+    /// Whether so much waits that no more should be asked for.
+    pub(crate) fn is_full(&self) -> bool {
+        self.waiting_bytes.load(Ordering::Relaxed) > FETCHED_BYTES_MAX / 2
+    }
+}
+
+/// Gives what waits to the robot.
+pub(crate) struct Outlet {
+    takes: Receiver<(Take, usize)>,
+    waiting_bytes: Arc<AtomicUsize>,
+    noted: Noted,
+    counters: Counters,
+}
+
+impl Outlet {
+    /// Until the node has ended, or nothing can come any more.
+    pub(crate) fn give_all(self, node: &NodeHandle) {
+        while let Ok(first) = self.takes.recv() {
+            let more = self.takes.try_iter().take(AT_ONCE - 1);
+            let takes: Vec<(Take, usize)> = std::iter::once(first).chain(more).collect();
+            if !self.give(node, takes) {
+                return;
+            }
+        }
+    }
+
+    /// Whether the node is still there.
+    fn give(&self, node: &NodeHandle, takes: Vec<(Take, usize)>) -> bool {
+        let (mut fences, mut things, mut bytes) = (Vec::new(), Vec::new(), 0);
+        for (take, length) in takes {
+            bytes += length;
+            match take {
+                Take::Fence(fence) => {
+                    fences.push(fence);
+                    continue;
+                }
+                Take::Package(ref package) => self.noted.note(Item::of(package)),
+                Take::Contents(ref contents) => self.noted.note(item_of(contents)),
+            }
+            things.push(take);
+        }
+        let given = node.with_robot(move |robot, now| {
+            let mut refused = 0;
+            for thing in things {
+                match thing {
+                    Take::Package(package) => {
+                        refused += u64::from(robot.receive_package(now, package).is_err());
+                    }
+                    Take::Contents(Contents { stream, snapshot_id, intervals }) => {
+                        // What it says counts when the chunks are merged.
+                        robot.restore_contents(now, stream, snapshot_id, &intervals);
+                    }
+                    Take::Fence(_) => {}
+                }
+            }
+            refused
+        });
+        self.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
+        let Some(refused) = given else { return false };
+        self.counters.dropped.add(refused);
+        // A call merges as much as it has time for; what waits beyond a limit would be dropped.
+        loop {
+            match node.with_robot(|robot, _| robot.session().has_events()) {
+                Some(true) => std::thread::sleep(PAUSE),
+                Some(false) => break,
+                None => return false,
+            }
+        }
+        // Who waits may be gone.
+        fences.into_iter().for_each(|fence| drop(fence.send(())));
+        true
+    }
+}
