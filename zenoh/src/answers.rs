@@ -68,7 +68,8 @@ impl Answers<'_> {
 
     fn answer(&mut self, query: &Query) -> Result<(), String> {
         let held = query.parameters().get("held").unwrap_or_default();
-        let held = parse_intervals(held).ok_or("held is no list of intervals, expected one as 1-120,130-200")?;
+        let held =
+            parse_intervals(held).ok_or("held is no list of intervals, expected one as 1-120,130-200")?;
         let key = query.key_expr();
         // A question for several holders: what they hold.
         let holder = self.keys.holder(self.name);
@@ -131,7 +132,9 @@ impl Answers<'_> {
     }
 
     fn say_packages(&self, query: &Query, packages: &[Package]) -> Result<(), String> {
-        packages.iter().try_for_each(|package| self.say_item(query, Item::of(package), package.bytes().to_vec()))
+        packages
+            .iter()
+            .try_for_each(|package| self.say_item(query, Item::of(package), package.bytes().to_vec()))
     }
 
     fn say(&self, query: &Query, coded: &Coded) -> Result<(), String> {

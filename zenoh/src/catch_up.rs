@@ -2,6 +2,7 @@
 //! What is put is the fast way, and this the sure one.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -14,12 +15,14 @@ use zenoh::sample::Locality;
 use zenoh::{Session, Wait};
 
 use crate::counters::Counters;
-use crate::held::{HELD_BYTES_MAX, Held, intervals_text, parse_intervals};
+use crate::held::{HELD_BYTES_MAX, Held, HeldStream, intervals_text, parse_intervals};
 use crate::keys::{Keys, parse_holder};
 use crate::takes::{By, Intake};
 
 /// Holders that are known at once; of more, those that come are not asked.
 const HOLDERS_MAX: usize = 64;
+/// What an answer takes beside its bytes.
+const ANSWER_OVERHEAD_BYTES: usize = 1_000;
 /// An answer that takes longer is not waited for.
 const HELD_TIMEOUT: Duration = Duration::from_secs(5);
 const GET_TIMEOUT: Duration = Duration::from_secs(120);
@@ -41,11 +44,7 @@ impl Holders {
     /// Whether it is new, or gone.
     pub(crate) fn set(&self, name: &str, is_there: bool) -> bool {
         let mut names = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if is_there {
-            names.len() < HOLDERS_MAX && names.insert(name.to_owned())
-        } else {
-            names.remove(name)
-        }
+        if is_there { names.len() < HOLDERS_MAX && names.insert(name.to_owned()) } else { names.remove(name) }
     }
 
     fn has_others(&self, own: &str) -> bool {
@@ -149,29 +148,34 @@ impl CatchUp<'_> {
             .consolidation(ConsolidationMode::None)
             .allowed_destination(Locality::Remote)
             .timeout(HELD_TIMEOUT);
-        let clock = self.node.clock();
+        let (clock, bytes) = (self.node.clock(), AtomicUsize::new(0));
         get.callback(move |reply| {
-            if let Ok(sample) = reply.result()
-                && sample.payload().len() <= HELD_BYTES_MAX
-            {
+            let Ok(sample) = reply.result() else { return };
+            let length = sample.payload().len() + ANSWER_OVERHEAD_BYTES;
+            if bytes.fetch_add(length, Ordering::Relaxed) + length <= HELD_BYTES_MAX {
                 // Nobody waits any more if this fails.
                 let _ = answers.send((clock.now(), sample.clone()));
             }
         })
         .wait()
         .map_err(|error| error.to_string())?;
+        // What was told to one under a digest need not be told to another under the same.
+        let streams = memory.held.values().map(|held| (held.digest.clone(), held.streams.clone()));
+        let known: BTreeMap<String, Vec<HeldStream>> = streams.collect();
         let mut held = BTreeMap::new();
-        for (came, sample) in answers_in.iter().take(HOLDERS_MAX) {
+        for (came, sample) in answers_in {
             let Some((_, _, name)) = parse_holder(sample.key_expr().as_str()) else { continue };
-            let Ok(said) = serde_json::from_slice::<Held>(&sample.payload().to_bytes()) else {
+            let Ok(mut said) = serde_json::from_slice::<Held>(&sample.payload().to_bytes()) else {
                 self.counters.refused.add(1);
                 continue;
             };
-            let before = memory.held.remove(name).filter(|before| before.digest == said.digest);
-            let ahead = clock_ahead(asked, came, said.now_us);
-            let said = before.filter(|_| said.streams.is_empty()).unwrap_or(said);
+            if said.streams.is_empty()
+                && let Some(streams) = known.get(&said.digest)
+            {
+                said.streams.clone_from(streams);
+            }
             if !self.on_radio {
-                self.take_clocks(memory, &said, ahead);
+                self.take_clocks(memory, &said, clock_ahead(asked, came, said.now_us));
             }
             held.insert(name.to_owned(), said);
         }
@@ -200,7 +204,13 @@ impl CatchUp<'_> {
 
     /// Asks a holder for what is lacking of a stream, and waits until it is merged. Whether something may be on its way,
     /// so that it was not asked for.
-    fn fetch(&self, memory: &mut Memory, name: &str, stream: Stream, theirs: &IntervalSet) -> Result<bool, String> {
+    fn fetch(
+        &self,
+        memory: &mut Memory,
+        name: &str,
+        stream: Stream,
+        theirs: &IntervalSet,
+    ) -> Result<bool, String> {
         let Some(own) = self.received(stream) else { return Ok(false) };
         let lacking = theirs.difference(&own).count();
         if lacking == 0 {

@@ -6,7 +6,7 @@ use flockmap::sync::{IntervalSet, RECEIVED_INTERVALS_MAX};
 use flockmap::{Resolution, Robot, RobotId, Stamp, Stream};
 use serde::{Deserialize, Serialize};
 
-/// An answer with more bytes is none: some thousand streams with the longest lists.
+/// Answers with more bytes than this, all together, are left out: of some ten thousand streams.
 pub(crate) const HELD_BYTES_MAX: usize = 16 << 20;
 
 /// What a holder holds, and how its clock and those of the robots differ.

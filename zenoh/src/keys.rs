@@ -123,9 +123,10 @@ impl Keys {
     }
 }
 
-/// The tokens of all holders of all swarms and versions.
-pub(crate) fn all_holders() -> String {
-    format!("{ROOT}/*/*/{HOLDER}/*")
+/// The tokens of all holders of a swarm, or of all swarms, in all versions.
+pub(crate) fn holders_of(swarm: Option<u16>) -> String {
+    let swarm = swarm.map_or_else(|| "*".into(), |swarm| swarm.to_string());
+    format!("{ROOT}/{swarm}/*/{HOLDER}/*")
 }
 
 /// Swarm, version and name in the key of a holder, or in a key below.
@@ -191,7 +192,7 @@ mod tests {
             let key = Keys { swarm }.item(item);
             prop_assert_eq!(Item::parse(&key), Some((swarm, item)));
             // Whatever else it is, it is not the same said in another way.
-            let mut bytes = key.clone().into_bytes();
+            let mut bytes = key.into_bytes();
             let at = at % bytes.len();
             bytes[at] = byte;
             if let Ok(other) = String::from_utf8(bytes)

@@ -52,7 +52,6 @@ pub(crate) struct Intake {
     keys: Keys,
     takes: Sender<(Take, usize)>,
     waiting_bytes: Arc<AtomicUsize>,
-    noted: Noted,
     counters: Counters,
 }
 
@@ -64,10 +63,10 @@ impl Intake {
         let outlet = Outlet {
             takes: takes_in,
             waiting_bytes: Arc::clone(&waiting_bytes),
-            noted: noted.clone(),
+            noted,
             counters: counters.clone(),
         };
-        (Self { keys, takes, waiting_bytes, noted, counters }, outlet)
+        (Self { keys, takes, waiting_bytes, counters }, outlet)
     }
 
     /// Checks what came; it waits for the robot then. Called in threads of Zenoh: never waits. Whatever the key and the
@@ -193,8 +192,10 @@ impl Outlet {
                 None => return false,
             }
         }
-        // Who waits may be gone.
-        fences.into_iter().for_each(|fence| drop(fence.send(())));
+        for fence in fences {
+            // Who waits may be gone.
+            let _ = fence.send(());
+        }
         true
     }
 }

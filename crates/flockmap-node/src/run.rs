@@ -140,9 +140,9 @@ fn start<T: Transport, M: FnOnce() -> io::Result<T> + Send + 'static>(
     outputs::check_record(&config.record)?;
     let sensor = match given {
         Some(sensor) => sensor,
-        None => sensor(config, log)?,
+        None => sensor(config, T::HEARS_OTHERS, log)?,
     };
-    let swarm_key = swarm_key(config, path, log)?;
+    let swarm_key = if T::HEARS_OTHERS { swarm_key(config, path, log)? } else { None };
     let make_transport = open(config, log)?;
     // Last, as an epoch is used up.
     let kept = Kept::open(config, &config.robot(0)?, u32::from_le_bytes(random_bytes()?), log)?;
@@ -211,7 +211,8 @@ fn random_bytes<const N: usize>() -> Result<[u8; N]> {
     Ok(bytes)
 }
 
-fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
+/// `has_radio`: without one, a robot without a sensor is nothing to wonder at.
+fn sensor(config: &NodeConfig, has_radio: bool, log: &Log) -> Result<Sensor> {
     if config.ros != RosSection::default() {
         log.warn("[ros] is for flockmap-ros: this program has no topics of ROS");
     }
@@ -219,7 +220,9 @@ fn sensor(config: &NodeConfig, log: &Log) -> Result<Sensor> {
     let limits = config.message_limits()?;
     match (&section.record, section.listen_tcp, &section.listen_unix) {
         (None, None, None) => {
-            log.warn("no sensor is configured: this robot only listens and passes on what it hears");
+            if has_radio {
+                log.warn("no sensor is configured: this robot only listens and passes on what it hears");
+            }
             Ok(Sensor::None)
         }
         (Some(path), None, None) => {
