@@ -39,6 +39,14 @@ pub(crate) struct Answers<'a> {
     pub(crate) kept: Kept,
 }
 
+/// What somebody wants of a stream.
+struct Wish<'a> {
+    /// He holds these packages.
+    held: &'a IntervalSet,
+    /// The packages themselves are of no use to him.
+    as_snapshot: bool,
+}
+
 /// What a robot has for somebody.
 enum Found {
     /// What he lacks, as it came.
@@ -70,6 +78,12 @@ impl Answers<'_> {
         let held = query.parameters().get("held").unwrap_or_default();
         let held =
             parse_intervals(held).ok_or("held is no list of intervals, expected one as 1-120,130-200")?;
+        let as_snapshot = match query.parameters().get("as") {
+            None => false,
+            Some("snapshot") => true,
+            Some(other) => return Err(format!("as={other}, expected as=snapshot, or none")),
+        };
+        let wish = Wish { held: &held, as_snapshot };
         let key = query.key_expr();
         // A question for several holders: what they hold.
         let holder = self.keys.holder(self.name);
@@ -79,12 +93,12 @@ impl Answers<'_> {
         }
         if let Some(rest) = key.as_str().strip_prefix(&holder).and_then(|rest| rest.strip_prefix('/')) {
             let stream = parse_get(rest).ok_or("expected held, or get/ROBOT-RUN, behind the name")?;
-            return self.say_stream(query, stream, &held);
+            return self.say_stream(query, stream, &wish);
         }
         let streams = self.node.with_robot(|robot, _| robot.session().streams().collect::<Vec<Stream>>());
         for stream in streams.ok_or("the node has ended")? {
             if intersects(key, &format!("{}/**", self.keys.stream(stream))) {
-                self.say_stream(query, stream, &held)?;
+                self.say_stream(query, stream, &wish)?;
             }
         }
         Ok(())
@@ -102,10 +116,11 @@ impl Answers<'_> {
 
     /// What somebody lacks of a stream who holds these packages: the packages, or a snapshot and what is newer, whichever
     /// has fewer bytes.
-    fn say_stream(&mut self, query: &Query, stream: Stream, held: &IntervalSet) -> Result<(), String> {
+    fn say_stream(&mut self, query: &Query, stream: Stream, wish: &Wish<'_>) -> Result<(), String> {
+        let Wish { held, as_snapshot } = *wish;
         let kept = self.kept.get(stream).filter(|_| held.is_empty());
         let (held_there, kept_there) = (held.clone(), kept.as_ref().map(|kept| (kept.upto, kept.bytes)));
-        let found = self.node.with_robot(move |robot, _| Found::of(robot, stream, &held_there, kept_there));
+        let found = self.node.with_robot(move |robot, _| Found::of(robot, stream, &held_there, as_snapshot, kept_there));
         match found.ok_or("the node has ended")? {
             Found::Packages(packages) => self.say_packages(query, &packages),
             Found::Newer(newer) => {
@@ -118,7 +133,7 @@ impl Answers<'_> {
                 self.counters.snapshots.add(1);
                 let coded = copy.code(&mut self.encoder)?;
                 let bytes = bytes_of(&coded.packages);
-                if let Some(packages) = packages.filter(|packages| bytes_of(packages) <= bytes) {
+                if let Some(packages) = packages.filter(|packages| !as_snapshot && bytes_of(packages) <= bytes) {
                     return self.say_packages(query, &packages);
                 }
                 self.say(query, &coded)?;
@@ -156,7 +171,13 @@ impl Answers<'_> {
 
 impl Found {
     /// `kept`: a snapshot of packages up to one is there already, with so many bytes.
-    fn of(robot: &Robot, stream: Stream, held: &IntervalSet, kept: Option<(u32, usize)>) -> Self {
+    fn of(
+        robot: &Robot,
+        stream: Stream,
+        held: &IntervalSet,
+        as_snapshot: bool,
+        kept: Option<(u32, usize)>,
+    ) -> Self {
         let (session, none) = (robot.session(), IntervalSet::new(RECEIVED_INTERVALS_MAX));
         let received = session.received(stream).unwrap_or(&none);
         // All of these, if they are all there as they came.
@@ -167,7 +188,8 @@ impl Found {
             (packages.len() as u64 == wanted.count()).then_some(packages)
         };
         let packages = stored(&received.difference(held));
-        if let Some(packages) = packages.as_ref().filter(|packages| bytes_of(packages) <= PACKAGES_BYTES) {
+        let is_short = |packages: &&Vec<Package>| !as_snapshot && bytes_of(packages) <= PACKAGES_BYTES;
+        if let Some(packages) = packages.as_ref().filter(is_short) {
             return Self::Packages(packages.clone());
         }
         if let Some((upto, bytes)) = kept

@@ -227,7 +227,9 @@ impl CatchUp<'_> {
         if memory.fruitless.get(&key).is_some_and(|(_, again)| *again > now) || self.intake.is_full() {
             return Ok(false);
         }
-        let selector = format!("{}?held={}", self.keys.get(name, stream), intervals_text(own.intervals()));
+        // What could not be decoded may be told by a snapshot.
+        let form = if memory.fruitless.contains_key(&key) { ";as=snapshot" } else { "" };
+        let selector = format!("{}?held={}{form}", self.keys.get(name, stream), intervals_text(own.intervals()));
         let intake = self.intake.clone();
         let (done, is_done) = channel::<()>();
         let get = self
@@ -253,7 +255,9 @@ impl CatchUp<'_> {
             memory.fruitless.remove(&key);
         } else {
             let (times, again) = memory.fruitless.entry(key).or_insert((0, now));
-            *again = Instant::now() + (FRUITLESS * (1 << (*times).min(6))).min(FRUITLESS_MAX);
+            // The first time, at once.
+            let pause = if *times == 0 { Duration::ZERO } else { FRUITLESS * (1 << (*times).min(6)) };
+            *again = Instant::now() + pause.min(FRUITLESS_MAX);
             *times += 1;
         }
         Ok(false)

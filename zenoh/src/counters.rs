@@ -11,10 +11,6 @@ impl Counter {
     pub(crate) fn add(&self, count: u64) {
         self.0.fetch_add(count, Ordering::Relaxed);
     }
-
-    pub(crate) fn get(&self) -> u64 {
-        self.0.load(Ordering::Relaxed)
-    }
 }
 
 /// The counters of a swarm in this process.
@@ -44,9 +40,9 @@ pub(crate) struct Counters {
 }
 
 impl Counters {
-    /// All of them, by name.
-    pub(crate) fn all(&self) -> [(&'static str, &Counter); 13] {
-        [
+    /// All of them, by name, as a node takes them.
+    pub(crate) fn for_node(&self) -> Vec<(&'static str, Arc<AtomicU64>)> {
+        let all = [
             ("zenoh_put", &self.put),
             ("zenoh_put_bytes", &self.put_bytes),
             ("zenoh_put_failed", &self.put_failed),
@@ -60,11 +56,7 @@ impl Counters {
             ("zenoh_answered_bytes", &self.answered_bytes),
             ("zenoh_queries_refused", &self.queries_refused),
             ("zenoh_snapshots", &self.snapshots),
-        ]
-    }
-
-    /// As a node takes them.
-    pub(crate) fn for_node(&self) -> Vec<(&'static str, Arc<AtomicU64>)> {
-        self.all().map(|(name, counter)| (name, Arc::clone(&counter.0))).to_vec()
+        ];
+        all.map(|(name, counter)| (name, Arc::clone(&counter.0))).to_vec()
     }
 }

@@ -115,6 +115,9 @@ pub(crate) struct Swarms {
     /// The id that it has, which no robot of the swarm may have
     #[arg(long, default_value_t = u16::MAX)]
     id: u16,
+    /// Serve counters as Prometheus text here, those of the next swarm at the next port, and so on
+    #[arg(long, value_name = "ADDRESS")]
+    metrics: Option<SocketAddr>,
     /// The summary is written here as JSON at the end. Default: stdout
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -166,6 +169,9 @@ pub(crate) struct Join {
     /// A configuration as of `flockmap node`, whose values count for the node that is the end of the link
     #[arg(short, long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Serve counters as Prometheus text here
+    #[arg(long, value_name = "ADDRESS")]
+    metrics: Option<SocketAddr>,
     /// The summary is written here as JSON at the end. Default: stdout
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,

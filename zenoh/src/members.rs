@@ -11,7 +11,6 @@ use anyhow::{Context, Result, anyhow};
 use flockmap::Resolution;
 use flockmap::codec::FORMAT_VERSION;
 use flockmap_node::{Configuration, ConfiguredNode, Embedding, Log, NoRadio, Summary};
-use serde::Serialize;
 use toml::{Table, Value};
 use zenoh::pubsub::Subscriber;
 use zenoh::query::{ConsolidationMode, QueryTarget};
@@ -46,26 +45,16 @@ pub(crate) struct Common {
     pub(crate) values: Arc<dyn Fn(u16, usize) -> Table + Send + Sync>,
 }
 
-/// What is said of a swarm at the end.
-#[derive(Debug, Serialize)]
-pub(crate) struct Report {
-    /// As `flockmap node` says it.
-    node: Summary,
-    /// What was counted beyond the radio.
-    zenoh: BTreeMap<&'static str, u64>,
-}
-
 /// A node with what it is towards Zenoh.
 pub(crate) struct Member {
     pub(crate) node: Arc<ConfiguredNode>,
     pub(crate) face: Face,
-    pub(crate) counters: Counters,
 }
 
 impl Member {
     /// Ends it, and says what there was.
-    pub(crate) fn end(self) -> Result<Report> {
-        let Self { node, face, counters } = self;
+    pub(crate) fn end(self) -> Result<Summary> {
+        let Self { node, face } = self;
         node.node.stop();
         while !node.node.has_ended() {
             std::thread::sleep(Duration::from_millis(5));
@@ -74,8 +63,7 @@ impl Member {
         let node = Arc::into_inner(node).context("a node is still in use")?;
         let (ended, saved) = node.join()?;
         saved?;
-        let counted = counters.all().map(|(name, counter)| (name, counter.get()));
-        Ok(Report { node: ended.summary, zenoh: counted.into() })
+        Ok(ended.summary)
     }
 }
 
@@ -174,7 +162,7 @@ impl Members {
     }
 
     /// Ends all, and says what there was. An error of one does not keep the others from their end.
-    pub(crate) fn end(self) -> (BTreeMap<u16, Report>, Vec<String>) {
+    pub(crate) fn end(self) -> (BTreeMap<u16, Summary>, Vec<String>) {
         let (mut summaries, mut faults) = (BTreeMap::new(), Vec::new());
         self.running.values().for_each(|member| member.node.node.stop());
         for (swarm, member) in self.running {
@@ -239,9 +227,9 @@ pub(crate) fn start_with(
     let observer = identity.roles.puts.then_some(observer);
     let embedding = Embedding { observer, counters: counters.for_node(), ..Embedding::default() };
     let node = Arc::new(start(embedding)?);
-    let watched = Watched { puts, noted, counters: counters.clone() };
+    let watched = Watched { puts, noted, counters };
     let face = Face::start(identity, &node, watched, log)?;
-    Ok(Member { node, face, counters })
+    Ok(Member { node, face })
 }
 
 /// A configuration with values in place of those of a file, or beside them.

@@ -1,20 +1,21 @@
 //! The four kinds of the program, each until it is asked to end.
 
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
-use flockmap_node::{Configuration, ConfiguredNode, Log};
+use flockmap_node::{Configuration, ConfiguredNode, Log, Summary};
 use toml::{Table, Value};
 use zenoh::{Session, Wait};
 
 use crate::face::{Identity, Roles};
 use crate::keys::{Keys, is_name};
 use crate::link::Link;
-use crate::members::{Common, Member, Members, Report, ask_resolution, read, set, start_with};
+use crate::members::{Common, Member, Members, ask_resolution, read, set, start_with};
 use crate::signals::Signals;
 use crate::{Archive, Bus, Gateway, Join, Station, Swarms, bus};
 
@@ -117,9 +118,8 @@ pub(crate) fn station(options: Station) -> Result<()> {
     let values = move |swarm: u16, number: usize| {
         let mut values = values.clone();
         let of_swarm = |text: &str| absolute(&text.replace("{swarm}", &swarm.to_string()));
-        if let Some(mut address) = view {
-            address.set_port(address.port().saturating_add(u16::try_from(number).unwrap_or(u16::MAX)));
-            set(&mut values, "view", "listen", Value::String(address.to_string()));
+        if let Some(address) = view {
+            set(&mut values, "view", "listen", nth_port(address, number));
         }
         if let Some(map) = &map {
             set(&mut values, "map_output", "listen_unix", Value::String(of_swarm(map)));
@@ -152,6 +152,9 @@ pub(crate) fn join(options: &Join) -> Result<()> {
     set(&mut values, "map", "range_m", Value::Float(1.0));
     set(&mut values, "session", "budget_kb_s", Value::Float(*rate_kb_s));
     set(&mut values, "session", "datagram_overhead_bytes", Value::Integer(LINK_OVERHEAD_BYTES));
+    if let Some(address) = options.metrics {
+        set(&mut values, "metrics", "prometheus", nth_port(address, 0));
+    }
     // The ends may be of different swarms.
     set(&mut values, "session", "swarm", Value::Integer(0));
     let resolution = loop {
@@ -213,10 +216,13 @@ fn members(
         Duration::try_from_secs_f64(seconds).map_err(|_| anyhow!("--end-after-s {seconds}, expected seconds"))
     });
     let end_after = end_after.transpose()?;
-    let name = program.name.clone();
+    let (name, metrics) = (program.name.clone(), swarms.metrics);
     let named = move |swarm: u16, number: usize| {
         let mut values = values(swarm, number);
         values.insert("name".into(), Value::String(format!("{name} swarm {swarm}")));
+        if let Some(address) = metrics {
+            set(&mut values, "metrics", "prometheus", nth_port(address, number));
+        }
         values
     };
     let common = Common {
@@ -256,7 +262,7 @@ fn end_one(program: Program, swarm: u16, member: Member, report: Option<&Path>) 
 }
 
 /// Writes the summaries, by swarm.
-fn save_report(path: Option<&Path>, summaries: &BTreeMap<u16, Report>) -> Result<()> {
+fn save_report(path: Option<&Path>, summaries: &BTreeMap<u16, Summary>) -> Result<()> {
     let text = serde_json::to_string_pretty(summaries)?;
     match path {
         Some(path) => {
@@ -267,6 +273,12 @@ fn save_report(path: Option<&Path>, summaries: &BTreeMap<u16, Report>) -> Result
             Ok(())
         }
     }
+}
+
+/// The address with a port that is so many further on.
+fn nth_port(mut address: SocketAddr, number: usize) -> Value {
+    address.set_port(address.port().saturating_add(u16::try_from(number).unwrap_or(u16::MAX)));
+    Value::String(address.to_string())
 }
 
 fn absolute(path: &str) -> String {

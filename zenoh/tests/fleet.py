@@ -1,17 +1,21 @@
 """Swarms beyond their radio, as their users have them: nodes, gateways, archives and ground stations in network namespaces,
 with a router and clients of other people. usage: fleet.py FLOCKMAP FLOCKMAP_ZENOH OUT [NAME...]
 
-Without a NAME all of it: flight, kills. Prints what was measured; exits with 1 where something is not as it should be.
+Without a NAME all of it: flight, kills, access, garbage, liar, joined. Prints what was measured; exits with 1 where something is not as it should be.
 """
 
+import ctypes
+import json
+import os
 import pathlib
 import signal
+import subprocess
 import sys
 import time
 
 import zenoh
 
-from world import World, layers, wait_for
+from world import ROUTER_PORT, World, ip, layers, wait_for
 
 SECONDS, SPEED, LOSS = 40, 2, 0.3
 
@@ -62,15 +66,9 @@ def held(session, swarm=7):
     for reply in session.get(f"flockmap/{swarm}/4/@holder/*/held", target=zenoh.QueryTarget.ALL, timeout=3.0):
         if reply.ok:
             name = str(reply.ok.key_expr).split("/")[4]
-            said = zenoh_json(reply.ok.payload)
+            said = json.loads(reply.ok.payload.to_string())
             answers[name] = {(s["origin"], s["epoch"]): s["held"] for s in said["streams"]}
     return answers
-
-
-def zenoh_json(payload):
-    import json
-
-    return json.loads(payload.to_string())
 
 
 def client(world, place):
@@ -85,9 +83,6 @@ def client(world, place):
 
 def enter(world, place):
     """This process goes to a namespace, and stays there."""
-    import ctypes
-    import os
-
     libc = ctypes.CDLL(None, use_errno=True)
     with open(f"/run/netns/{world.prefix}-{place}", "rb") as space:
         if libc.setns(space.fileno(), 0x40000000) != 0:
@@ -150,9 +145,9 @@ def flight(world, records, kills=False):
           and all(one == of_robots[0] for one in of_robots))
     for name in ("station1", "station2", "gateway1", "gateway2", "archive1", "archive2"):
         said = world.fleet_report(name)["7"]
-        check(f"{name} has every layer, voxel by voxel", layers(said["node"]) == of_robots[0])
-        print("      " + ", ".join(f"{key[6:]} {value}" for key, value in said["zenoh"].items() if value))
-    late = world.fleet_report("station2")["7"]["zenoh"]
+        check(f"{name} has every layer, voxel by voxel", layers(said) == of_robots[0])
+        print("      " + ", ".join(f"{key[6:]} {value}" for key, value in said["counters"]["beside"].items() if value))
+    late = world.fleet_report("station2")["7"]["counters"]["beside"]
     payload = late["zenoh_fetched_bytes"] + late["zenoh_taken_bytes"]
     print(f"      the late one got {payload} B of payload")
     return payload, sum(stranger)
@@ -163,16 +158,306 @@ def kills(world, records):
     return flight(world, records, kills=True)
 
 
+CERTIFICATES = pathlib.Path(__file__).parent.parent / "scripts" / "certificates.sh"
+EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
+
+
+def tls(world, name):
+    """The configuration of a client by the example, with the certificate of somebody."""
+    text = (EXAMPLES / "client.json5").read_text()
+    text = text.replace("router.example:7447", f"{world.address('router')}:{ROUTER_PORT}")
+    text = text.replace("certificates/station", f"{world.out}/certificates/{name}")
+    path = world.out / f"{name}-client.json5"
+    path.write_text(text.replace("certificates/ca", f"{world.out}/certificates/ca"))
+    return path
+
+
+def access(world, records):
+    """TLS and access control by the examples. Who has no certificate, and who may only read, tries everything."""
+    for name in ("router", "archive", "station", "stranger"):
+        world.place(name, fleet=True)
+    robots = fly(world, records[:1], gateways=("gateway",))
+    subprocess.run([CERTIFICATES, world.out / "certificates", world.address("router"), "gateway", "archive", "station",
+                    "guest"], check=True, stdout=subprocess.DEVNULL)
+    text = (EXAMPLES / "router.json5").read_text().replace("certificates/", f"{world.out}/certificates/")
+    (world.out / "router.json5").write_text(text)
+    script = pathlib.Path(__file__).with_name("router.py")
+    world.run("router", "router", sys.executable, script, world.out / "router.json5",
+              environment={"RUST_LOG": "warn,zenoh::net::routing::interceptor::access_control=trace"})
+    time.sleep(1)
+    world.run("gateway", "gateway", world.fleet, "gateway", "--config", world.out / "gateway.toml",
+              "--zenoh", tls(world, "gateway"), "--name", "gateway", "--period-s", 2)
+    world.run("archive", "archive", world.fleet, "archive", "--store", world.out / "archive-store", "--swarm", 7,
+              "--zenoh", tls(world, "archive"), "--name", "archive", "--period-s", 2, *METRICS)
+    world.run("station", "station", world.fleet, "station", "--swarm", 7, "--zenoh", tls(world, "station"),
+              "--name", "station", "--period-s", 2)
+    start_node(world, robots[0])
+    enter(world, "stranger")
+    time.sleep(SECONDS / SPEED / 2)
+
+    # Without a certificate, and with one of another authority.
+    for what, config in (("no certificate", None), ("a certificate of another authority", "foreign")):
+        if config:
+            subprocess.run([CERTIFICATES, world.out / "foreign", world.address("router"), "archive"], check=True,
+                           stdout=subprocess.DEVNULL)
+        text = tls(world, "archive").read_text().replace("timeout_ms: -1", "timeout_ms: 3000")
+        text = text.replace("exit_on_failure: false", "exit_on_failure: true")
+        if config:
+            text = text.replace(f"{world.out}/certificates/archive", f"{world.out}/foreign/archive")
+        else:
+            text = "\n".join(line for line in text.splitlines() if "connect_" not in line)
+        path = world.out / "refused.json5"
+        path.write_text(text)
+        try:
+            zenoh.open(zenoh.Config.from_file(str(path))).close()
+            answer = "it was let in"
+        except zenoh.ZError as error:
+            answer = str(error)
+        check(f"{what}: {answer.splitlines()[0][:110]}", answer != "it was let in")
+
+    # As one who may only read; then with a certificate of the right authority, and no rule.
+    for who in ("station", "guest"):
+        seen = []
+        with zenoh.open(zenoh.Config.from_file(str(tls(world, who)))) as session:
+            session.declare_subscriber("flockmap/7/**", seen.append)
+            session.declare_subscriber("flockmap/8/**", seen.append)
+            time.sleep(3)
+            replies = [r for r in session.get("flockmap/7/4/**", timeout=5.0) if r.ok]
+            held_there = held(session)
+            # What it puts itself it sees too.
+            seen_there = len(seen)
+            before = world.counter("archive", "zenoh_refused")
+            for index in range(1, 200):
+                session.put(f"flockmap/7/4/1-99/{index}", b"x" * 100)
+                session.put(f"flockmap/7/4/@holder/{who}/held", b"{}")
+                session.delete(f"flockmap/7/4/1-99/{index}")
+            session.delete("flockmap/7/4/**")
+            time.sleep(5)
+            after = world.counter("archive", "zenoh_refused")
+            if who == "guest":
+                check(f"a guest reads nothing: {len(replies)} replies, {len(held_there)} holders, {seen_there} samples",
+                      not replies and not held_there and not seen_there)
+            else:
+                check(f"a station reads: {len(replies)} replies, {len(held_there)} holders, {seen_there} samples",
+                      replies and held_there and seen_there)
+            check(f"a {who} writes and deletes nothing: the archive refused {after - before}", after == before)
+    answers = [line for line in (world.out / "router.out").read_text().splitlines() if "unauthorized" in line.lower() or "not authorized" in line.lower()]
+    print(f"      the router says so {len(answers)} times, such as: {answers[0][-160:] if answers else 'nothing'}")
+    time.sleep(SECONDS / SPEED / 2)
+    for name in (robots[0], "station", "archive", "gateway"):
+        check(f"{name} ends well", world.stop(name) == 0)
+    of_robot = layers(world.report(robots[0]))
+    for name in ("station", "archive", "gateway"):
+        check(f"{name} has every layer, voxel by voxel", layers(world.fleet_report(name)["7"]) == of_robot)
+
+
+def memory(world, name):
+    """Resident KiB of a program, now and at most."""
+    pid = subprocess.run(["ip", "netns", "pids", f"{world.prefix}-{name}"], capture_output=True, text=True).stdout.split()
+    for one in pid:
+        status = pathlib.Path(f"/proc/{one}/status").read_text()
+        if "flockmap-zenoh" in status:
+            values = dict(line.split(":", 1) for line in status.splitlines())
+            return int(values["VmRSS"].split()[0]), int(values["VmHWM"].split()[0])
+    raise LookupError(f"{name} does not run")
+
+
+def garbage(world, records):
+    """Values of 0 B and 16 MB, packages under keys of others, bent ones, and a million keys of nobody."""
+    for name in ("router", "archive", "station", "stranger"):
+        world.place(name, fleet=True)
+    robots = fly(world, records[:1], gateways=("gateway",))
+    world.router()
+    time.sleep(1)
+    start_gateway(world, "gateway")
+    start_archive(world, "archive", *METRICS)
+    start_station(world, "station", *METRICS)
+    start_node(world, robots[0])
+    time.sleep(SECONDS / SPEED + 2)
+    enter(world, "stranger")
+    with client(world, "router") as session:
+        wait_for("all of the flight", lambda: all_agree(session, ["gateway", "archive"]), 60)
+        sound = {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get("flockmap/7/4/**", timeout=30.0) if r.ok}
+        before = {name: memory(world, name) for name in ("archive", "station")}
+        put, key = 0, next(iter(sound))
+        stream = "/".join(key.split("/")[:4])
+
+        def give(key, value):
+            nonlocal put
+            session.put(key, value, congestion_control=zenoh.CongestionControl.BLOCK)
+            put += 1
+
+        began = time.monotonic()
+        for length in (0, 1, 13, 1150, 1151, 70_000, 16_000_000):
+            for at in (f"{stream}/100000", f"{stream}/snapshot/00000001/0", f"{stream}/snapshot/00000001/contents",
+                       "flockmap/7/4/9-9/1", "flockmap/7/4/nonsense", "flockmap/7/4/9-9/1/2/3"):
+                give(at, b"\xff" * length)
+        for index, (key, value) in enumerate(list(sound.items())[:200]):
+            give(f"{stream}/{200_000 + index}", value)
+            bent = bytearray(value)
+            bent[index * 7 % len(bent)] ^= 1 << index % 8
+            give(key, bytes(bent))
+            session.delete(key)
+        session.delete("flockmap/7/4/**")
+        for number in range(1_000_000):
+            give(f"flockmap/{number % 5 + 7}/4/{number % 60_000}-{number}/{number}", b"")
+        print(f"      {put} values put in {time.monotonic() - began:.0f} s")
+        wait_for("the end of it", lambda: world.counter("station", "zenoh_refused") > 0
+                 and still(lambda: world.counter("station", "zenoh_refused")), 120)
+        for name in ("archive", "station"):
+            (resident, _), (now, most) = before[name], memory(world, name)
+            refused = world.counter(name, "zenoh_refused")
+            print(f"      {name}: refused {refused}; memory {resident >> 10} MiB before, {now >> 10} after, at most {most >> 10}")
+            check(f"{name} has bounded memory", most < resident + (96 << 10))
+        again = {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get("flockmap/7/4/**", timeout=30.0) if r.ok}
+        check(f"what a stranger gets is as before: {len(again)} packages", again == sound)
+        give(f"flockmap/7/4/@holder/stranger/held", b"{")
+    for name in (robots[0], "station", "archive", "gateway"):
+        check(f"{name} ends well", world.stop(name) == 0)
+    of_robot = layers(world.report(robots[0]))
+    for name in ("station", "archive", "gateway"):
+        said = world.fleet_report(name)["7"]
+        check(f"{name} has every layer, voxel by voxel", layers(said) == of_robot)
+        print(f"      {name}: damaged {said['counters']['robot']['damaged']}, dropped {said['counters']['beside']['zenoh_dropped']}")
+
+
+def liar(world, records):
+    """A holder that gives bent packages, of more than there are, and turns honest later: nothing wrong stays."""
+    for name in ("router", "station", "stranger"):
+        world.place(name, fleet=True)
+    robots = fly(world, records[:1], gateways=("gateway",))
+    world.router()
+    time.sleep(1)
+    start_gateway(world, "gateway")
+    start_node(world, robots[0])
+    time.sleep(SECONDS / SPEED + 3)
+    enter(world, "stranger")
+    with client(world, "router") as session:
+        (stream, intervals), = held(session)["gateway"].items()
+        text = f"{stream[0]}-{stream[1]}"
+        get = session.get(f"flockmap/7/4/@holder/gateway/get/{text}?_anyke", timeout=10.0,
+                          consolidation=zenoh.ConsolidationMode.NONE)
+        sound = [(str(r.ok.key_expr).replace("flockmap/7/", "flockmap/9/"), r.ok.payload.to_bytes()) for r in get if r.ok]
+        check(f"a stranger asks a gateway for all of a run: {len(sound)} packages", len(sound) > 100)
+        is_honest, asked = False, 0
+
+        def answer(query):
+            nonlocal asked
+            key = str(query.key_expr)
+            if key.endswith("/held"):
+                more = "" if is_honest else ",1000000-4000000000"
+                said = {"digest": f"{is_honest}", "now_us": 0, "resolution_um": 100_000,
+                        "streams": [{"origin": stream[0], "epoch": stream[1], "held": intervals + more}]}
+                query.reply("flockmap/9/4/@holder/liar/held", json.dumps(said))
+                return
+            asked += 1
+            if is_honest:
+                # What the gateway says, under other keys.
+                there = f"{key.replace('flockmap/9/', 'flockmap/7/').replace('liar', 'gateway')}?{query.parameters}"
+                for reply in session.get(there, timeout=10.0, consolidation=zenoh.ConsolidationMode.NONE):
+                    if reply.ok:
+                        query.reply(str(reply.ok.key_expr).replace("flockmap/7/", "flockmap/9/"), reply.ok.payload)
+                return
+            for index, (key, value) in enumerate(sound):
+                bent = bytearray(value)
+                if index % 3:
+                    bent[-1 - index % 40] ^= 1 << index % 8
+                query.reply(key, bytes(bent))
+
+        queryable = session.declare_queryable("flockmap/9/4/@holder/liar/**", answer)
+        token = session.liveliness().declare_token("flockmap/9/4/@holder/liar")
+        start_station(world, "station", "--swarm", 9, *METRICS)
+        wait_for("damaged packages", lambda: asked and world.counter("station", "robot_damaged") > 0, 60)
+        time.sleep(30)
+        damaged, times = world.counter("station", "robot_damaged"), asked
+        is_honest = True
+        time.sleep(60)
+        print(f"      {damaged} damaged packages in {times} answers of the liar, {asked - times} honest answers after that")
+        check("it is not asked all the time", times < 8)
+        token.undeclare()
+        queryable.undeclare()
+    for name in (robots[0], "station", "gateway"):
+        check(f"{name} ends well", world.stop(name) == 0)
+    check("the station has the layer, voxel by voxel",
+          layers(world.fleet_report("station")["9"]) == layers(world.report(robots[0])))
+
+
+def still(value, seconds=2):
+    """Whether a value stays as it is."""
+    before = value()
+    time.sleep(seconds)
+    return value() == before
+
+
+def received(world, place):
+    """Bytes that came to a place from the network beyond the radio."""
+    text = subprocess.run(["ip", "netns", "exec", f"{world.prefix}-{place}", "cat", "/sys/class/net/fleet/statistics/rx_bytes"],
+                          check=True, capture_output=True, text=True).stdout
+    return int(text)
+
+
+def joined(world, records):
+    """Two swarms over a link of 20 KB/s that is cut for 60 s in the middle."""
+    rate = 20
+    for name in ("router", "end1", "end2"):
+        world.place(name, fleet=True)
+    sites = {1: records[0], 2: records[1]}
+    for site, record in sites.items():
+        world.place(f"site{site}", fleet=True)
+    # One list for the radio, though each site has its own: they do not hear each other.
+    everybody = [f"{kind}{site}" for site in sites for kind in ("robot", "gateway")]
+    for name in everybody:
+        world.place(name, radio=True, fleet=name.startswith("gateway"))
+    world.radio([world.numbers[name] for name in everybody], LOSS)
+    for at, name in enumerate(everybody):
+        site = int(name[-1])
+        sensor = f'record = "{sites[site]}"\nspeed = 0.5' if name.startswith("robot") else ""
+        world.node_config(name, world.numbers[name], [(at ^ 1) + 1], swarm=site, sensor=sensor)
+    for end in ("end1", "end2"):
+        subprocess.run(["tc", "-n", f"{world.prefix}-{end}", "qdisc", "add", "dev", "fleet", "root", "tbf", "rate", "160kbit",
+                        "burst", "4kb", "latency", "400ms"], check=True)
+    for site in sites:
+        world.router(f"router{site}", f"site{site}")
+    time.sleep(1)
+    for site in sites:
+        start_gateway(world, f"gateway{site}", "--take", router=f"site{site}")
+        way = ("--link-listen", f"tcp/{world.address('end1')}:7448") if site == 1 else \
+              ("--link-connect", f"tcp/{world.address('end1')}:7448")
+        world.run(f"end{site}", f"end{site}", world.fleet, "join", "--swarm", site, "--id", 60_000 + site, "--link", "far",
+                  "--rate-kb-s", rate * 0.9, "--connect", world.endpoint(f"site{site}"), *way, "--name", f"end{site}",
+                  "--period-s", 2, *METRICS)
+        start_node(world, f"robot{site}")
+    length = SECONDS * 2
+    time.sleep(length * 0.3)
+    ip("-n", world.hub, "link", "set", f"f{world.numbers['end2']}", "down")
+    time.sleep(60)
+    ip("-n", world.hub, "link", "set", f"f{world.numbers['end2']}", "up")
+    most, last, end = 0, received(world, "end1"), time.monotonic() + length * 0.7 - 60 + 90
+    while time.monotonic() < end:
+        time.sleep(1)
+        now = received(world, "end1")
+        most, last = max(most, now - last), now
+    for name in ("robot1", "robot2", "end1", "end2", "gateway1", "gateway2"):
+        check(f"{name} ends well", world.stop(name) == 0)
+    of = {name: layers(world.report(name)) for name in ("robot1", "robot2")}
+    for name in ("gateway1", "gateway2", "end1", "end2"):
+        of[name] = layers(next(iter(world.fleet_report(name).values())))
+    print(f"      layers: {({name: len(one) for name, one in of.items()})}; at most {most} B a second came to an end, "
+          "with what its own site sends it")
+    check("all have equal maps of both sites", len(of["robot1"]) == 2 and all(one == of["robot1"] for one in of.values()))
+
+
+METRICS = ("--metrics", "127.0.0.1:9464")
+
+
 def main():
     flockmap, fleet, out, *names = sys.argv[1:]
-    import subprocess
-
     out = pathlib.Path(out).resolve()
     records = [out / "records" / f"robot{number}.mcap" for number in (1, 2, 3)]
     if not all(record.exists() for record in records):
         subprocess.run([flockmap, "sim", "fly", "--scene", "forest", "--robots", "3", "--seconds", str(SECONDS),
                         "--out", str(out / "records")], check=True, stdout=subprocess.DEVNULL)
-    tests = {test.__name__: test for test in (flight, kills)}
+    tests = {test.__name__: test for test in (flight, kills, access, garbage, liar, joined)}
     for name in names or tests:
         print(f"== {name}: {tests[name].__doc__}", flush=True)
         with World(out / name, flockmap, fleet) as world:

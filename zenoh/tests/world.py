@@ -6,6 +6,7 @@ Needs root, iproute2 and the kernel's bridges and veth pairs.
 import json
 import os
 import pathlib
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,7 +25,8 @@ class World:
 
     def __init__(self, out, flockmap, fleet):
         self.out = pathlib.Path(out)
-        self.out.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(self.out, ignore_errors=True)
+        self.out.mkdir(parents=True)
         self.flockmap, self.fleet = flockmap, fleet
         self.prefix = f"fleet{os.getpid()}"
         self.spaces, self.programs, self.numbers = [], {}, {}
@@ -129,6 +131,15 @@ report_json = "{name}.json"
 {more}
 """)
         return path
+
+    def counter(self, name, counter, place=None, port=9464):
+        """A counter of a program that serves them on the loopback of its namespace."""
+        read = f"import urllib.request; print(urllib.request.urlopen('http://127.0.0.1:{port}/metrics').read().decode())"
+        text = subprocess.run(
+            ["ip", "netns", "exec", f"{self.prefix}-{place or name}", sys.executable, "-c", read],
+            check=True, capture_output=True, text=True, timeout=10).stdout
+        lines = [line for line in text.splitlines() if line.startswith(f"flockmap_{counter}_total{{")]
+        return int(float(lines[0].rsplit(" ", 1)[1]))
 
     def stop(self, name, how=signal.SIGTERM, timeout=60):
         program = self.programs[name]

@@ -1,5 +1,8 @@
 //! The loop of a node: what comes in goes to the robot, what the robot has to send goes out.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use flockmap::{Event, Path, Robot, Stamp, Stream, SubmapError, SubmapId};
@@ -510,9 +513,14 @@ impl<T: Transport> Driver<T> {
             node: self.node_counters(),
             map_readers: self.outlet.as_ref().map_or(0, Outlet::readers),
             store: self.store.as_ref().map(StoreWriter::counters).unwrap_or_default(),
+            beside: counted(&self.options.counters_beside),
             ..NodeStatus::new(&self.options.name, &self.robot, &self.timings)
         }
     }
+}
+
+fn counted(counters: &[(&'static str, Arc<AtomicU64>)]) -> BTreeMap<String, u64> {
+    counters.iter().map(|(name, counter)| ((*name).to_owned(), counter.load(Ordering::Relaxed))).collect()
 }
 
 /// What is farther than years counts as that.

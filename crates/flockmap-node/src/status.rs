@@ -150,9 +150,14 @@ pub struct NodeStatus {
     pub session: Counters,
     /// Counters of the store; all 0 without one.
     pub store: StoreCounters,
+    /// Counters of the program around the node, [`NodeOptions::counters_beside`](crate::NodeOptions::counters_beside).
+    pub beside: BTreeMap<String, u64>,
     /// How long things took.
     pub timings: Timings,
 }
+
+/// The counters that have names of the program's own.
+const BESIDE: &str = "beside";
 
 impl NodeStatus {
     /// What the robot says; of the node, that it has just begun.
@@ -183,6 +188,7 @@ impl NodeStatus {
             robot: *robot.counters(),
             session: *session.counters(),
             store: StoreCounters::default(),
+            beside: BTreeMap::new(),
             timings: timings.clone(),
         }
     }
@@ -201,13 +207,14 @@ impl NodeStatus {
         GivenUp { runs_forgotten: streams_forgotten, streams_refused: too_many_streams, blocks_dropped }
     }
 
-    /// All counters by name, of the node, the robot, the session and the store.
-    pub(crate) fn counters(&self) -> [(&'static str, BTreeMap<String, u64>); 4] {
+    /// All counters by name, of the node, the robot, the session, the store, and the program around them.
+    pub(crate) fn counters(&self) -> [(&'static str, BTreeMap<String, u64>); 5] {
         [
             ("node", named(&self.node)),
             ("robot", named(&self.robot)),
             ("session", named(&self.session)),
             ("store", named(&self.store)),
+            (BESIDE, self.beside.clone()),
         ]
     }
 
@@ -224,8 +231,9 @@ impl NodeStatus {
         };
         let one = |value: f64| vec![(String::new(), value)];
         for (prefix, counters) in self.counters() {
+            let prefix = if prefix == BESIDE { String::new() } else { format!("{prefix}_") };
             for (name, count) in counters {
-                metric("counter", &format!("{prefix}_{name}_total"), one(count as f64));
+                metric("counter", &format!("{prefix}{name}_total"), one(count as f64));
             }
         }
         metric("gauge", "uptime_seconds", one(self.uptime.as_secs_f64()));
