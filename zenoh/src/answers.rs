@@ -120,7 +120,9 @@ impl Answers<'_> {
         let Wish { held, as_snapshot } = *wish;
         let kept = self.kept.get(stream).filter(|_| held.is_empty());
         let (held_there, kept_there) = (held.clone(), kept.as_ref().map(|kept| (kept.upto, kept.bytes)));
-        let found = self.node.with_robot(move |robot, _| Found::of(robot, stream, &held_there, as_snapshot, kept_there));
+        let found = self
+            .node
+            .with_robot(move |robot, _| Found::of(robot, stream, &held_there, as_snapshot, kept_there));
         match found.ok_or("the node has ended")? {
             Found::Packages(packages) => self.say_packages(query, &packages),
             Found::Newer(newer) => {
@@ -133,7 +135,9 @@ impl Answers<'_> {
                 self.counters.snapshots.add(1);
                 let coded = copy.code(&mut self.encoder)?;
                 let bytes = bytes_of(&coded.packages);
-                if let Some(packages) = packages.filter(|packages| !as_snapshot && bytes_of(packages) <= bytes) {
+                if let Some(packages) =
+                    packages.filter(|packages| !as_snapshot && bytes_of(packages) <= bytes)
+                {
                     return self.say_packages(query, &packages);
                 }
                 self.say(query, &coded)?;

@@ -229,7 +229,8 @@ impl CatchUp<'_> {
         }
         // What could not be decoded may be told by a snapshot.
         let form = if memory.fruitless.contains_key(&key) { ";as=snapshot" } else { "" };
-        let selector = format!("{}?held={}{form}", self.keys.get(name, stream), intervals_text(own.intervals()));
+        let selector =
+            format!("{}?held={}{form}", self.keys.get(name, stream), intervals_text(own.intervals()));
         let intake = self.intake.clone();
         let (done, is_done) = channel::<()>();
         let get = self

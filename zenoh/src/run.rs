@@ -24,8 +24,6 @@ const LOOK_PERIOD: Duration = Duration::from_millis(100);
 /// Streams and runs of a robot that an archive or a ground station has at most, where no configuration says it.
 const STREAMS_MAX: i64 = 4_096;
 const EPOCHS_MAX: i64 = 64;
-/// What Zenoh and TCP add to a datagram, about: key, headers, a part of an acknowledgement.
-const LINK_OVERHEAD_BYTES: i64 = 200;
 
 /// What is open for each of them: a session with Zenoh, and the signals.
 struct Program {
@@ -151,7 +149,6 @@ pub(crate) fn join(options: &Join) -> Result<()> {
     values.insert("name".into(), Value::String(program.name.clone()));
     set(&mut values, "map", "range_m", Value::Float(1.0));
     set(&mut values, "session", "budget_kb_s", Value::Float(*rate_kb_s));
-    set(&mut values, "session", "datagram_overhead_bytes", Value::Integer(LINK_OVERHEAD_BYTES));
     if let Some(address) = options.metrics {
         set(&mut values, "metrics", "prometheus", nth_port(address, 0));
     }

@@ -411,7 +411,7 @@ def joined(world, records):
     world.radio([world.numbers[name] for name in everybody], LOSS)
     for at, name in enumerate(everybody):
         site = int(name[-1])
-        sensor = f'record = "{sites[site]}"\nspeed = 0.5' if name.startswith("robot") else ""
+        sensor = f'record = "{sites[site]}"\nspeed = 1.0' if name.startswith("robot") else ""
         world.node_config(name, world.numbers[name], [(at ^ 1) + 1], swarm=site, sensor=sensor)
     for end in ("end1", "end2"):
         subprocess.run(["tc", "-n", f"{world.prefix}-{end}", "qdisc", "add", "dev", "fleet", "root", "tbf", "rate", "160kbit",
@@ -427,12 +427,12 @@ def joined(world, records):
                   "--rate-kb-s", rate * 0.9, "--connect", world.endpoint(f"site{site}"), *way, "--name", f"end{site}",
                   "--period-s", 2, *METRICS)
         start_node(world, f"robot{site}")
-    length = SECONDS * 2
+    length = SECONDS
     time.sleep(length * 0.3)
     ip("-n", world.hub, "link", "set", f"f{world.numbers['end2']}", "down")
     time.sleep(60)
     ip("-n", world.hub, "link", "set", f"f{world.numbers['end2']}", "up")
-    most, last, end = 0, received(world, "end1"), time.monotonic() + length * 0.7 - 60 + 90
+    most, last, end = 0, received(world, "end1"), time.monotonic() + 60
     while time.monotonic() < end:
         time.sleep(1)
         now = received(world, "end1")

@@ -16,8 +16,8 @@ use crate::kept::Kept;
 use crate::outputs::Report;
 use crate::sensor::repeated;
 use crate::{
-    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Observer, RosSection, Sensor,
-    Transport, UdpOptions, UdpSockets, ViewOptions, outputs,
+    Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Observer, RosSection,
+    Sensor, Transport, UdpOptions, UdpSockets, ViewOptions, outputs,
 };
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
@@ -148,6 +148,7 @@ fn start<T: Transport, M: FnOnce() -> io::Result<T> + Send + 'static>(
     let kept = Kept::open(config, &config.robot(0)?, u32::from_le_bytes(random_bytes()?), log)?;
     let mut options = NodeOptions::new(config.robot(kept.epoch)?);
     options.robot.session.swarm_key = swarm_key;
+    options.robot.session.datagram_overhead_bytes = T::OVERHEAD_BYTES;
     options.robot.session.salt = random_bytes()?;
     (options.store, options.epoch_file) = (kept.store, kept.epoch_file);
     options.name = config.robot_name();

@@ -5,8 +5,8 @@ use std::fmt;
 use std::io::ErrorKind;
 use std::sync::Arc;
 
-use flockmap::{Robot, Stream};
 use flockmap::codec::Encoder;
+use flockmap::{Robot, Stream};
 
 use crate::log::create;
 use crate::record::Record;

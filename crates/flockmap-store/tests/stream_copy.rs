@@ -85,7 +85,8 @@ fn who_holds_the_beginning_gets_what_came_after_it() {
             let mut other = holder(&packages[..held]);
             let since = other.session().received(stream).unwrap().prefix();
             assert_eq!(since as usize, held);
-            let code = |since| StreamCopy::of(&robot, stream, since).unwrap().code(&mut Encoder::new()).unwrap();
+            let code =
+                |since| StreamCopy::of(&robot, stream, since).unwrap().code(&mut Encoder::new()).unwrap();
             let (rest, whole) = (code(since), code(0));
             assert!(bytes_of(&rest.packages) <= bytes_of(&whole.packages), "seed {seed}, {held} held");
             give_coded(&mut other, rest);
@@ -101,8 +102,12 @@ fn a_history_with_gaps_says_what_it_contains() {
     let stream = robot.own_stream();
     // Nobody has the one in the middle: what does not build on it is held all the same.
     let gap = packages.len() / 2;
-    let without: Vec<Package> =
-        packages.iter().enumerate().filter(|(at, _)| *at != gap).map(|(_, package)| package.clone()).collect();
+    let without: Vec<Package> = packages
+        .iter()
+        .enumerate()
+        .filter(|(at, _)| *at != gap)
+        .map(|(_, package)| package.clone())
+        .collect();
     let some = holder(&without);
     let held = some.session().received(stream).unwrap();
     assert!(!held.contains(gap as u32 + 1));

@@ -109,7 +109,11 @@ fn they_are_sent_on_over_the_radio_where_all_hear_each_other() {
         let stream = flyer.own_stream();
         for robot in &swarm.robots {
             let layer = robot.fusion().layer(stream).expect("the layer of a robot that nobody hears");
-            assert_eq!(Some(layer.digest()), flyer.fusion().layer(stream).map(|layer| layer.digest()), "{cast:?}");
+            assert_eq!(
+                Some(layer.digest()),
+                flyer.fusion().layer(stream).map(|layer| layer.digest()),
+                "{cast:?}"
+            );
         }
         assert!(swarm.now.micros_since(came) <= 20_000_000);
     }

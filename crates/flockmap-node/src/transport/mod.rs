@@ -21,6 +21,9 @@ pub trait Transport: 'static {
     /// Whether others may be heard on it. Where not, nobody wonders at that.
     const HEARS_OTHERS: bool = true;
 
+    /// Bytes that it adds to a datagram, counted in budgets. Default 28: IPv4 and UDP headers.
+    const OVERHEAD_BYTES: u32 = 28;
+
     /// Waits for the next datagram and writes it to `buffer`; returns its length, and the path on which it
     /// came: the same for all that come from one address, and never that of another address. Dropping the
     /// future loses nothing. An error is counted, and the node goes on.
