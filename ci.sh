@@ -52,12 +52,12 @@ seeds() {
     $swarm --robots 3 --seconds 300 --seed $((base + 40000)) --seeds 12
 }
 
-# The bindings, flockmap-ros and flockmap-foxglove are workspaces of their own and bring their own tools.
+# The bindings, flockmap-ros, flockmap-foxglove and flockmap-zenoh are workspaces of their own and bring their own tools.
 heavy() {
     local check
     cargo build --release --locked -p flockmap-cli
     FLOCKMAP=$PWD/target/release/flockmap crates/flockmap-view/page/check.sh
-    for check in bindings/*/check.sh ros/check.sh foxglove/check.sh; do
+    for check in bindings/*/check.sh ros/check.sh foxglove/check.sh zenoh/check.sh; do
         "$check"
     done
     local data=${FLOCKMAP_DATA:-../shared/data}/hku_mb

@@ -1,7 +1,7 @@
 """Swarms beyond their radio, as their users have them: nodes, gateways, archives and ground stations in network namespaces,
 with a router and clients of other people. usage: fleet.py FLOCKMAP FLOCKMAP_ZENOH OUT [NAME...]
 
-Without a NAME all of it: flight, kills, access, garbage, liar, joined. Prints what was measured; exits with 1 where something is not as it should be.
+Without a NAME all of it: flight, kills, access, garbage, liar, joined; beside these `size`. Prints what was measured; exits with 1 where something is not as it should be.
 """
 
 import ctypes
@@ -450,6 +450,79 @@ def joined(world, records):
 METRICS = ("--metrics", "127.0.0.1:9464")
 
 
+def size(world, records):
+    """An archive of many packages, by ROBOTS and PACKAGES of each: rate in and out, memory, a late joiner, a restart."""
+    for name in ("router", "archive", "maker", "station", "stranger"):
+        world.place(name, fleet=True)
+    robots, packages = int(os.environ.get("ROBOTS", 10)), int(os.environ.get("PACKAGES", 1_000))
+    world.router()
+    time.sleep(1)
+    # Somebody has to say what voxels there are before anything is taken.
+    enter(world, "stranger")
+    with client(world, "router") as session:
+        said = json.dumps({"digest": "0", "now_us": 0, "resolution_um": 100_000, "streams": []})
+        first = session.declare_queryable("flockmap/7/4/@holder/first/**",
+                                          lambda query: query.reply("flockmap/7/4/@holder/first/held", said))
+        token = session.liveliness().declare_token("flockmap/7/4/@holder/first")
+        more = os.environ.get("ARCHIVE", "").split()
+        start_archive(world, "archive", "--swarm", 7, *METRICS, *more)
+        wait_for("the archive", lambda: "archive" in held(session), 30)
+        token.undeclare()
+        first.undeclare()
+        began = time.monotonic()
+        maker = world.run("maker", "maker", world.fleet.parent / "examples" / "many", world.endpoint(), robots, packages)
+        count = 0
+        wanted = robots * packages
+
+        def is_there():
+            nonlocal count
+            streams = held(session).get("archive", {})
+            count = sum(int(part.split("-")[1]) - int(part.split("-")[0]) + 1
+                        for text in streams.values() for part in text.split(","))
+            return maker.poll() is not None and count >= wanted
+
+        try:
+            wait_for("all packages", is_there, 3_000)
+        except TimeoutError:
+            print(f"      {count} of {wanted}, dropped {world.counter('archive', 'zenoh_dropped')}")
+            raise
+        took = time.monotonic() - began
+        print(f"      in: {(world.out / 'maker.out').read_text().strip()}; {wanted / took:.0f} a second, made here too")
+        resident, most = memory(world, "archive")
+        disk = sum(file.stat().st_size for file in (world.out / "archive-store").rglob("*") if file.is_file())
+        print(f"      archive: memory {resident >> 10} MiB, at most {most >> 10}; {disk >> 20} MiB on disk")
+        for what in ("late", "once more"):
+            before, began = received(world, "station"), time.monotonic()
+            start_station(world, "station", "--swarm", 7, *METRICS)
+            time.sleep(1)
+            wait_for("a late one", lambda: maybe(lambda: world.counter("station", "session_accepted"), 0) >= 0 and
+                     still(lambda: maybe(lambda: world.counter("station", "zenoh_fetched"), 0), 3), 600)
+            took = time.monotonic() - began - 3
+            resident, most = memory(world, "station")
+            payload = world.counter("station", "zenoh_fetched_bytes")
+            tcp = received(world, "station") - before
+            check("the station ends well", world.stop("station") == 0)
+            streams = world.fleet_report("station")["7"]["streams"]
+            there = sum(high - low + 1 for s in streams for low, high in s["received"])
+            check(f"{what}: a station has {there} of {wanted} packages' worth in {took:.0f} s, {payload} B of payload, "
+                  f"{tcp} B came by TCP; memory at most {most >> 10} MiB", there == wanted)
+        check("the archive ends well", world.stop("archive", timeout=300) == 0)
+        began = time.monotonic()
+        start_archive(world, "archive", "--swarm", 7, *METRICS, *more)
+        wait_for("the archive once more", lambda: sum(
+            int(part.split("-")[1]) - int(part.split("-")[0]) + 1
+            for text in held(session).get("archive", {}).values() for part in text.split(",")) >= wanted, 3_000)
+        print(f"      restart: {time.monotonic() - began:.1f} s; memory {memory(world, 'archive')[0] >> 10} MiB")
+
+
+def maybe(value, otherwise):
+    """A value, if it is there yet."""
+    try:
+        return value()
+    except subprocess.CalledProcessError:
+        return otherwise
+
+
 def main():
     flockmap, fleet, out, *names = sys.argv[1:]
     out = pathlib.Path(out).resolve()
@@ -457,10 +530,11 @@ def main():
     if not all(record.exists() for record in records):
         subprocess.run([flockmap, "sim", "fly", "--scene", "forest", "--robots", "3", "--seconds", str(SECONDS),
                         "--out", str(out / "records")], check=True, stdout=subprocess.DEVNULL)
-    tests = {test.__name__: test for test in (flight, kills, access, garbage, liar, joined)}
-    for name in names or tests:
+    checks = (flight, kills, access, garbage, liar, joined)
+    tests = {test.__name__: test for test in (*checks, size)}
+    for name in names or [check.__name__ for check in checks]:
         print(f"== {name}: {tests[name].__doc__}", flush=True)
-        with World(out / name, flockmap, fleet) as world:
+        with World(out / name, flockmap, pathlib.Path(fleet).resolve()) as world:
             world.resolution, world.range = 0.1, 7.0
             tests[name](world, records)
 

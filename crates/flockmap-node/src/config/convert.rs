@@ -5,7 +5,7 @@ use std::ops::{Bound, RangeBounds};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use flockmap::{Pose, Robot, RobotConfig, RobotId, Stamp, StatesUpdate};
+use flockmap::{FusionConfig, Pose, Robot, RobotConfig, RobotId, Stamp, StatesUpdate};
 
 use super::error::ConfigError;
 use super::{AlignmentSection, NodeConfig};
@@ -114,7 +114,10 @@ impl NodeConfig {
             codec: codec.name.unwrap_or(default.codec),
             repair_delay_max_ms: codec.repair_delay_max_ms.unwrap_or(default.repair_delay_max_ms),
             session: self.session.clone(),
-            fusion: self.fusion.clone(),
+            fusion: FusionConfig {
+                streams_max: self.fusion.streams_max.max(self.session.streams_max + 1),
+                ..self.fusion.clone()
+            },
             teammate_radius_m: within("[teammates] radius_m", radius, 0.0..=100.0, "0 to 100")?,
             teammate_timeout_ms: teammates.timeout_ms.unwrap_or(default.teammate_timeout_ms),
             ..default
