@@ -105,7 +105,11 @@ impl Session {
         match header.kind {
             Kind::Request => {
                 let mut request = Request::parse(&datagram, PEER_INTERVALS_MAX)?;
-                request.find_runs(|robot| self.newest_run(robot, header.sender), PEER_INTERVALS_MAX);
+                request.find_runs(
+                    |robot| self.newest_run(robot, header.sender),
+                    |robot| self.newest_run_listed(robot, header.sender),
+                    PEER_INTERVALS_MAX,
+                );
                 if let Err(unheard) = self.hear(now, &header, path, bytes.len()) {
                     self.note_own_runs(now, &request);
                     return Err(unheard);
@@ -147,6 +151,16 @@ impl Session {
         }
         let heard = self.peers.get(&robot).map(|peer| peer.stream);
         heard.max(self.store.newest_run(robot))
+    }
+
+    /// The newest run of a robot that has a list in requests: who does not hear that robot takes this one for its newest,
+    /// since a run is not in any list before its first package.
+    fn newest_run_listed(&self, robot: RobotId, sender: Stream) -> Option<Stream> {
+        if robot == sender.origin {
+            return Some(sender);
+        }
+        let own = self.identity.own;
+        self.store.runs(robot).rev().find(|run| *run != own || self.store.newest_known(own) > 0)
     }
 
     /// Notes that a peer was heard; makes its acquaintance if it is new or in a new run.

@@ -214,7 +214,7 @@ impl Session {
         (request, urgent)
     }
 
-    /// The newest runs of all robots that are known; none while one is to be told of its newest.
+    /// The newest runs of all robots of which lists may go by digests; none while one is to be told of its newest.
     fn newest_runs(&self) -> Vec<Stream> {
         if self.schedule.superseded.is_some() {
             return Vec::new();
@@ -224,6 +224,8 @@ impl Session {
             runs.pop_if(|before| before.origin == stream.origin);
             runs.push(stream);
         }
+        // Whoever hears a robot in a later run, of which there are no packages yet, takes that one for its newest.
+        runs.retain(|run| self.peers.get(&run.origin).is_none_or(|peer| peer.stream <= *run));
         runs
     }
 
@@ -354,7 +356,58 @@ fn union_with(set: &IntervalSet, intervals: Vec<(u32, u32)>) -> IntervalSet {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::DatagramHeader;
     use crate::{SessionConfig, SwarmKey};
+
+    const fn run(id: u16, epoch: u64) -> Stream {
+        Stream { origin: RobotId(id), epoch }
+    }
+
+    /// A session of robot 1 hears that a robot holds packages 1 to 5 of a run, which may go by a digest.
+    fn hear(session: &mut Session, sender: Stream, held: Option<Stream>, newest_runs: Vec<Stream>) {
+        let list = |stream| Received {
+            stream,
+            is_oldest_wanted: false,
+            in_part: None,
+            from: 1,
+            received: IntervalSet::from_intervals(1, vec![(1, 5)]),
+        };
+        let request = Request {
+            origins: Some(OriginRange::all_from(RobotId(0))),
+            received: held.map(list).into_iter().collect(),
+            newest_runs,
+            ..Request::default()
+        };
+        let header = DatagramHeader { kind: Kind::Request, swarm: 0, sender, stamp: Stamp(1_000) };
+        session.handle_datagram(Stamp(2_000), &request.emit(header, 1_200)).unwrap();
+    }
+
+    /// Once nobody who heard the robot could read the digests, and all were taken to lack its former run for ever.
+    #[test]
+    fn a_former_run_of_a_robot_that_has_published_nothing_since_is_named_in_full_by_who_hears_it() {
+        let mut session = Session::new(run(1, 1), SessionConfig::default(), 1).unwrap();
+        hear(&mut session, run(4, 1), Some(run(3, 1)), Vec::new());
+        assert_eq!(session.newest_runs(), [run(1, 1), run(3, 1)]);
+        hear(&mut session, run(3, 2), None, Vec::new());
+        assert_eq!(session.newest_runs(), [run(1, 1)]);
+        hear(&mut session, run(5, 1), Some(run(3, 2)), Vec::new());
+        assert_eq!(session.newest_runs(), [run(1, 1), run(3, 2)]);
+    }
+
+    #[test]
+    fn a_digest_of_who_does_not_hear_that_a_robot_has_restarted_is_read_by_who_does() {
+        // Robot 3, and the robot itself.
+        for restarted in [3, 1] {
+            let mut session = Session::new(run(1, 2), SessionConfig::default(), 1).unwrap();
+            let former = run(restarted, 1);
+            hear(&mut session, run(4, 1), Some(former), Vec::new());
+            hear(&mut session, run(3, 2), None, Vec::new());
+            hear(&mut session, run(2, 1), Some(former), vec![former]);
+            let peer = &session.peers[&RobotId(2)];
+            assert!(peer.streams.get(&former).is_some_and(|theirs| theirs.received.contains(5)));
+            assert!(peer.takes_unnamed(run(9, 1)), "the request covers all origins");
+        }
+    }
 
     #[test]
     fn the_longest_request_of_a_thin_budget_is_as_long_as_its_option_says() {

@@ -229,11 +229,18 @@ impl Request {
         Some(())
     }
 
-    /// Gives what was read by digests the runs that are meant: the newest ones that the reader knows. Where these are not
-    /// the sender's, nothing of it is taken in, and the request says nothing of what it does not name.
-    pub fn find_runs(&mut self, newest: impl Fn(RobotId) -> Option<Stream>, intervals_max: usize) {
+    /// Gives what was read by digests the runs that are meant: the newest ones that the reader knows, or for lists the
+    /// newest ones that have lists, since the sender may not hear that a robot flies a later one. Where neither are the
+    /// sender's, nothing of it is taken in, and the request says nothing of what it does not name.
+    pub fn find_runs(
+        &mut self,
+        newest: impl Fn(RobotId) -> Option<Stream>,
+        newest_listed: impl Fn(RobotId) -> Option<Stream>,
+        intervals_max: usize,
+    ) {
         for lists in core::mem::take(&mut self.received_newest) {
-            match lists.find_runs(&newest, intervals_max) {
+            let found = lists.find_runs(&newest, intervals_max);
+            match found.or_else(|| lists.find_runs(&newest_listed, intervals_max)) {
                 Some(received) => self.received.extend(received),
                 None => self.origins = None,
             }

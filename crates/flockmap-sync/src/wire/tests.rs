@@ -482,7 +482,7 @@ fn newest_runs_named_by_digests_are_found_by_who_knows_them_and_cost_a_quarter()
     let in_full = Request { newest_runs: Vec::new(), ..request.clone() }.emit(HEADER, DATAGRAM_BYTES_MAX);
     println!("lists of 50 runs: {} bytes, {} in full", bytes.len(), in_full.len());
     assert!(bytes.len() * 4 < in_full.len() + 4 * 60, "{} of {}", bytes.len(), in_full.len());
-    parsed.find_runs(knows_all(&request), 64);
+    parsed.find_runs(knows_all(&request), |_| None, 64);
     assert_eq!(by_origin(parsed.received.clone()), request.received);
     assert_eq!((parsed.origins, parsed.all_echoes, &parsed.hears), (ALL, true, &request.hears));
     assert!(parsed.received_newest.is_empty() && parsed.heard.is_empty());
@@ -498,7 +498,7 @@ fn who_knows_another_run_of_one_robot_learns_nothing_of_those_beside_it() {
             let stream = known(robot)?;
             if robot.0 == other { epoch.map(|epoch| Stream { epoch, ..stream }) } else { Some(stream) }
         };
-        parsed.find_runs(newest, 64);
+        parsed.find_runs(newest, |_| None, 64);
         assert_eq!((parsed.origins, parsed.all_echoes), (None, false));
         let of = |robots: &[Stream]| robots.iter().filter(|run| request.hears.contains(run)).count();
         assert_eq!(of(&parsed.hears), parsed.hears.len(), "nobody who is not heard");
@@ -515,7 +515,7 @@ fn a_request_by_digests_keeps_to_its_room_and_says_which_origins_it_covers() {
     for bytes_max in 200..500 {
         let (request, mut parsed, bytes) = crowd(120, bytes_max);
         assert!(bytes.len() <= bytes_max);
-        parsed.find_runs(knows_all(&request), 64);
+        parsed.find_runs(knows_all(&request), |_| None, 64);
         for list in &request.received {
             assert_eq!(
                 parsed.received.iter().filter(|read| *read == list).count(),
@@ -538,7 +538,7 @@ fn a_request_of_the_shortest_lists_holds_no_more_than_is_stated() {
     let request = Request { newest_runs, received, ..Request::default() };
     let bytes = request.emit(HEADER, DATAGRAM_BYTES_MAX);
     let mut parsed = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 64).unwrap();
-    parsed.find_runs(|origin| Some(Stream { origin, epoch: 1 << 40 }), 64);
+    parsed.find_runs(|origin| Some(Stream { origin, epoch: 1 << 40 }), |_| None, 64);
     assert_eq!(parsed.received.len(), 250, "two bytes each: {}", bytes.len());
     // While they get their runs, the lists of a record are there twice; each interval is an allocation of 32 bytes at most.
     let held = (parsed.received.capacity() + 32) * size_of::<Received>() + 250 * 32;
@@ -556,7 +556,7 @@ fn who_is_named_again_as_heard_is_left_out() {
     }
     let bytes = seal(bytes);
     let mut read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 64).unwrap();
-    read.find_runs(|robot| runs.iter().find(|run| run.origin == robot).copied(), 64);
+    read.find_runs(|robot| runs.iter().find(|run| run.origin == robot).copied(), |_| None, 64);
     assert_eq!((read.hears, read.all_echoes), (runs, false));
 }
 
@@ -585,7 +585,7 @@ proptest! {
         let request = Request { origins, all_echoes: true, received, newest_runs, hears, ..Request::default() };
         let (bytes, covered) = request.emit_in_order(HEADER, DATAGRAM_BYTES_MAX, 3);
         let mut read = Request::parse(&Datagram::new_checked(&bytes).unwrap(), 1_000).unwrap();
-        read.find_runs(knows_all(&request), 1_000);
+        read.find_runs(knows_all(&request), |_| None, 1_000);
         prop_assert!(read.hears.iter().eq(request.hears.iter().take(read.hears.len())));
         prop_assert_eq!(read.all_echoes, read.hears.len() == request.hears.len());
         for received in &request.received {
