@@ -32,7 +32,8 @@ pub struct Datagram {
 pub enum Addressees {
     /// This node.
     One(RobotId),
-    /// Every other node, each with a datagram of its own.
+    /// Every other node, each with a datagram of its own, beginning with another one each time: where a queue is full, it
+    /// takes the first only.
     Each,
     /// Every other node, with one datagram for all.
     All,
@@ -88,6 +89,8 @@ impl<N> Watch<N> for () {}
 pub struct Network<N> {
     nodes: Vec<N>,
     ids: Vec<RobotId>,
+    /// Datagrams of each node that went to each of the others.
+    to_each: Vec<usize>,
     radio: RadioEmulator,
     now: Stamp,
 }
@@ -97,13 +100,14 @@ impl<N: Node> Network<N> {
     pub fn new(nodes: Vec<N>, radio: RadioConfig, now: Stamp) -> Self {
         let ids: Vec<RobotId> = nodes.iter().map(Node::id).collect();
         let radio = RadioEmulator::new(ids.iter().copied(), radio);
-        Self { nodes, ids, radio, now }
+        Self { to_each: vec![0; ids.len()], nodes, ids, radio, now }
     }
 
     /// One node more.
     pub fn join(&mut self, node: N) {
         self.radio.add(node.id());
         self.ids.push(node.id());
+        self.to_each.push(0);
         self.nodes.push(node);
     }
 
@@ -215,7 +219,13 @@ impl<N: Node> Network<N> {
             let to: Vec<To> = match datagram.to {
                 Addressees::One(peer) => vec![To::Node(peer)],
                 Addressees::All => vec![To::All],
-                Addressees::Each => others.map(|id| To::Node(*id)).collect(),
+                Addressees::Each => {
+                    let mut each: Vec<To> = others.map(|id| To::Node(*id)).collect();
+                    let first = self.to_each[number] % each.len().max(1);
+                    each.rotate_left(first);
+                    self.to_each[number] += 1;
+                    each
+                }
             };
             watch.sent(now, number, node, &mut datagram, to.len());
             to.into_iter().for_each(|to| self.radio.send(now, own, to, &datagram.bytes));
@@ -293,5 +303,16 @@ mod tests {
         assert_eq!(network.nodes()[0].heard, heard);
         assert_eq!((counts.delivered, counts.called, counts.copies), (6, 6 + 3, 6));
         assert_eq!(network.next_due(), Some(Stamp(1_100_000)));
+    }
+
+    #[test]
+    fn a_queue_that_takes_one_datagram_of_two_leaves_nobody_out() {
+        let talker = |id, next| Talker { id: RobotId(id), next: Stamp(next), due: false, heard: Vec::new() };
+        let talkers = vec![talker(1, 0), talker(2, i64::MAX), talker(3, i64::MAX)];
+        let radio = RadioConfig { rate_bytes_per_s: Some(10), queue_bytes_max: 10, ..RadioConfig::default() };
+        let mut network = Network::new(talkers, radio, Stamp(0));
+        network.run_until(Stamp(4_500_000), &mut ());
+        let heard = |number: usize| network.nodes()[number].heard.len();
+        assert_eq!((heard(1), heard(2)), (2, 2));
     }
 }

@@ -104,7 +104,8 @@ pub enum Destination {
     /// This peer: at [`Transmit::path`].
     Peer(RobotId),
     /// Everyone: the broadcast or multicast address, or each configured address and each of
-    /// [`Session::paths`](crate::Session::paths) in turn.
+    /// [`Session::paths`](crate::Session::paths), beginning with another one each time: where a queue is full, it takes
+    /// the first only.
     Everyone,
 }
 

@@ -88,6 +88,7 @@ impl UdpSockets {
             everyone: self.everyone,
             addresses: Addresses::default(),
             group_first: false,
+            to_everyone: 0,
         })
     }
 }
@@ -102,6 +103,8 @@ pub struct UdpTransport {
     addresses: Addresses,
     /// Which socket is read first, in turn, so that neither starves the other.
     group_first: bool,
+    /// Datagrams to everyone so far.
+    to_everyone: usize,
 }
 
 impl Transport for UdpTransport {
@@ -140,7 +143,12 @@ impl Transport for UdpTransport {
                 // The members of the group have got it.
                 let used = self.addresses.used().filter(|(_, is_in_group)| !is_in_group);
                 let used = used.map(|(address, _)| address).filter(|address| !self.peers.contains(address));
-                configured.chain(used).map(Some).collect()
+                let mut addresses: Vec<_> = configured.chain(used).map(Some).collect();
+                // A queue that is full takes the first only: let that be another one each time.
+                let first = self.to_everyone % addresses.len().max(1);
+                addresses.rotate_left(first);
+                self.to_everyone = self.to_everyone.wrapping_add(1);
+                addresses
             }
         };
         let mut sent = SendResult::default();
