@@ -46,6 +46,9 @@ pub struct FusionConfig {
     /// Microseconds; default 1 s.
     #[cfg_attr(feature = "serde", serde(rename = "own_priority_ms", with = "crate::units::Times::<1_000>"))]
     pub own_priority_micros: i64,
+    /// The layers of other robots are kept, and left out of the map as if [`Fusion::set_muted`] had been called for each:
+    /// for who only keeps and passes on, which takes less memory and time then. Default `false`.
+    pub mutes_others: bool,
     /// Obstacles of a submap are cleared where a newer submap of the same run has one within so many voxels, in the same
     /// block of 8³: it is the same wall, not put right quite to where it is seen now. A cleared voxel is what other parts
     /// know of it, else Unknown. 0 to 7; default 0: nothing is cleared, the newest stamp decides.
@@ -70,6 +73,7 @@ impl Default for FusionConfig {
     fn default() -> Self {
         Self {
             own_priority_micros: 1_000_000,
+            mutes_others: false,
             submap_clears_voxels: 0,
             layer_bytes_max: 768 << 20,
             own_layer_bytes_max: 256 << 20,
@@ -140,7 +144,7 @@ impl Fusion {
     /// Without any layer. `own` is this robot's stream of this run: its layer is kept for the others, while
     /// the fused map takes the own part from the mapper, where it is fresher.
     pub fn new(own: Stream, resolution: Resolution, config: FusionConfig) -> Self {
-        let settings = Settings::new(config.own_priority_micros, config.submap_clears_voxels, resolution);
+        let settings = Settings::new(own.origin, resolution, &config);
         Self {
             config,
             resolution,

@@ -68,9 +68,7 @@ impl Fusion {
     pub fn forget(&mut self, stream: Stream) {
         let origin = stream.origin;
         self.sources.forget(stream);
-        if self.wanted.origin(origin).is_plain()
-            && !self.sources.iter().any(|(stream, _)| stream.origin == origin)
-        {
+        if self.wanted.is_plain(origin) && !self.sources.iter().any(|(stream, _)| stream.origin == origin) {
             // What comes of the origin from now on is not of the clock that was known; the map says otherwise until it
             // is made anew.
             self.wanted.forget(origin);
@@ -83,7 +81,7 @@ impl Fusion {
     /// ever came by.
     pub(super) fn forget_plain(&mut self, origin: RobotId) {
         let is_there = || self.sources.iter().any(|(stream, _)| stream.origin == origin);
-        if self.wanted.origin(origin).is_plain() && !self.sources.has_of(origin) && !is_there() {
+        if self.wanted.is_plain(origin) && !self.sources.has_of(origin) && !is_there() {
             self.settings_mut().for_each(|settings| settings.forget(origin));
             self.maps_mut().for_each(|fused| {
                 fused.outdated.remove(&origin);

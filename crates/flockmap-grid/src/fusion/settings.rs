@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::FusionConfig;
 use super::align::Alignment;
 use crate::{Pose, Resolution, RobotId, Sheet, Stream, SubmapId};
 
@@ -12,7 +13,9 @@ pub(super) struct Settings {
     pub submap_clears_voxels: u8,
     resolution: Resolution,
     origins: BTreeMap<RobotId, Origin>,
-    /// Of origins for which nothing was set.
+    own: RobotId,
+    /// Of the own origin, and of others, for which nothing was set.
+    unset_own: Origin,
     unset: Origin,
     /// `T_map_submap` by streams: a submap without one lies as the one before it does, the first one as its stream.
     submaps: BTreeMap<Stream, BTreeMap<SubmapId, Pose>>,
@@ -28,16 +31,18 @@ pub(super) struct Origin {
 }
 
 impl Settings {
-    pub(super) fn new(own_priority_micros: i64, submap_clears_voxels: u8, resolution: Resolution) -> Self {
+    pub(super) fn new(own: RobotId, resolution: Resolution, config: &FusionConfig) -> Self {
         let pose = Pose::IDENTITY;
         let alignment = Alignment::new(&pose, resolution);
-        let unset = Origin { pose, alignment, clock_offset_micros: 0, is_muted: false };
+        let unset_own = Origin { pose, alignment, clock_offset_micros: 0, is_muted: false };
         Self {
-            own_priority_micros,
-            submap_clears_voxels,
+            own_priority_micros: config.own_priority_micros,
+            submap_clears_voxels: config.submap_clears_voxels,
             resolution,
             origins: BTreeMap::new(),
-            unset,
+            own,
+            unset: Origin { is_muted: config.mutes_others, ..unset_own.clone() },
+            unset_own,
             submaps: BTreeMap::new(),
         }
     }
@@ -90,7 +95,7 @@ impl Settings {
         submap: SubmapId,
         sheet: Sheet,
     ) -> Option<Alignment> {
-        let origin = if is_own { &self.unset } else { self.origin(stream.origin) };
+        let origin = if is_own { &self.unset_own } else { self.origin(stream.origin) };
         let pose = self.submap(stream, submap);
         if pose == Pose::IDENTITY {
             return Some(origin.alignment().of_sheet(sheet));
@@ -101,11 +106,22 @@ impl Settings {
     }
 
     pub(super) fn origin(&self, id: RobotId) -> &Origin {
-        self.origins.get(&id).unwrap_or(&self.unset)
+        self.origins.get(&id).unwrap_or_else(|| self.unset(id))
     }
 
     pub(super) fn origin_mut(&mut self, id: RobotId) -> &mut Origin {
-        self.origins.entry(id).or_insert_with(|| self.unset.clone())
+        let unset = self.unset(id).clone();
+        self.origins.entry(id).or_insert(unset)
+    }
+
+    fn unset(&self, id: RobotId) -> &Origin {
+        if id == self.own { &self.unset_own } else { &self.unset }
+    }
+
+    /// Whether nothing is set for an origin but how far its clock is off.
+    pub(super) fn is_plain(&self, id: RobotId) -> bool {
+        let origin = self.origin(id);
+        origin.alignment.is_identity() && origin.is_muted == self.unset(id).is_muted
     }
 
     /// As if nothing had been set for an origin.
@@ -125,11 +141,6 @@ impl Origin {
 
     pub(super) const fn alignment(&self) -> &Alignment {
         &self.alignment
-    }
-
-    /// Whether nothing is set but how far the clock is off.
-    pub(super) const fn is_plain(&self) -> bool {
-        self.alignment.is_identity() && !self.is_muted
     }
 
     /// Whether layers come out the same by both.

@@ -262,6 +262,34 @@ fn muting_an_origin_takes_it_out_and_unmuting_brings_it_back_without_a_resend() 
 }
 
 #[test]
+fn who_mutes_others_has_only_its_own_runs_in_the_map_and_whom_it_unmutes() {
+    let mapper = mapper();
+    let config = FusionConfig { mutes_others: true, ..FusionConfig::default() };
+    let mut fusion = Fusion::new(OWN, resolution(), config);
+    let former = Stream { epoch: 0, ..OWN };
+    for (x, of) in [(1, former), (2, stream(2)), (3, stream(3))] {
+        let changes = source(&[(Voxel::new(x, 0, 0), State::Occupied)]);
+        assert_eq!(fusion.apply(&mapper, of, &changes, Stamp(1), Stamp(1)).unwrap(), 1);
+    }
+    let shown =
+        |fusion: &Fusion| [1, 2, 3].map(|x| fusion.map().state(Voxel::new(x, 0, 0)) == State::Occupied);
+    assert_eq!(shown(&fusion), [true, false, false]);
+    fusion.set_muted(RobotId(3), false);
+    fusion.set_muted(RobotId(1), true);
+    finish(&mut fusion, &mapper);
+    assert_eq!(shown(&fusion), [false, false, true]);
+    // What was set stays when the last run of an origin is forgotten; of who was left as it was nothing is kept.
+    for forgotten in [former, stream(2), stream(3)] {
+        fusion.forget(forgotten);
+        finish(&mut fusion, &mapper);
+        let changes = source(&[(Voxel::new(i32::from(forgotten.origin.0), 0, 0), State::Occupied)]);
+        fusion.apply(&mapper, forgotten, &changes, Stamp(2), Stamp(2)).unwrap();
+    }
+    assert_eq!(shown(&fusion), [false, false, true]);
+    assert_eq!(fusion.layers().map(|(_, layer)| layer.len()).collect::<Vec<_>>(), [1, 1, 1]);
+}
+
+#[test]
 fn teammates_are_not_obstacles() {
     let mut mapper = mapper();
     let scan =
