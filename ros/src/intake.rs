@@ -10,7 +10,7 @@ use flockmap_io::Frame;
 use flockmap_io::ros::{
     Bytes, Clock as ClockMessage, Odometry, PointCloud2, PoseArray, PoseStamped, TFMessage, Time,
 };
-use flockmap_node::{ConfiguredNode, Log, RosPoses, RosSection};
+use flockmap_node::{ConfiguredNode, Log, RosPoses, RosSection, Signals};
 use futures::stream::{self, BoxStream, SelectAll, StreamExt};
 use ros2_client::Subscription;
 use ros2_client::dds::rustdds::StatusEvented;
@@ -19,7 +19,6 @@ use tokio::sync::mpsc::Sender;
 use crate::clock::{Jump, RosClock};
 use crate::links::Links;
 use crate::scans::{ScanCounts, Scans, Taken};
-use crate::signals::Signals;
 use crate::team::Team;
 use crate::topics::{CLOCK, POSES, SENSOR, SENSOR_RELIABLE, STATUS, TF, TF_STATIC, Topics};
 

@@ -10,7 +10,6 @@ mod parameters;
 mod publishing;
 mod run;
 mod scans;
-mod signals;
 mod team;
 mod topics;
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, bail};
-use flockmap_node::{Configuration, ConfiguredNode, Embedding, Log, RosPoses, Sensor};
+use flockmap_node::{Configuration, ConfiguredNode, Embedding, Log, RosPoses, Sensor, Signals};
 
 use crate::arguments::RosArguments;
 use crate::clock::RosClock;
@@ -15,7 +15,6 @@ use crate::names::Names;
 use crate::parameters;
 use crate::publishing::{diagnostics, outputs, publish};
 use crate::scans::{ScanCounts, Scans};
-use crate::signals::Signals;
 use crate::team::{Team, set_all};
 use crate::topics::Topics;
 

@@ -46,6 +46,7 @@ mod outputs;
 mod recorder;
 mod run;
 mod sensor;
+mod signals;
 mod status;
 mod store_writer;
 mod summary;
@@ -72,6 +73,7 @@ pub use run::{ConfiguredNode, Embedding, run};
 pub use sensor::{
     MESSAGE_VERSION, MessageError, MessageLimits, OwnedStates, Sensor, SensorMessage, StatesMessage,
 };
+pub use signals::Signals;
 pub use status::{GivenUp, Histogram, NodeCounters, NodeStatus, StreamStatus, Timings};
 pub use store_writer::StoreWriter;
 pub use summary::{StreamSummary, Summary, TimingSummary};

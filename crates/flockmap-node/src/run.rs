@@ -17,7 +17,7 @@ use crate::outputs::Report;
 use crate::sensor::repeated;
 use crate::{
     Ended, KEY_VARIABLE, Log, MapOutput, Node, NodeConfig, NodeHandle, NodeOptions, Observer, RosSection,
-    Sensor, Transport, UdpOptions, UdpSockets, ViewOptions, outputs,
+    Sensor, Signals, Transport, UdpOptions, UdpSockets, ViewOptions, outputs,
 };
 
 /// Runs the robot of a configuration file: what `flockmap node --config` does. Ends on Ctrl-C, SIGTERM, or as
@@ -30,11 +30,8 @@ pub fn run(config_path: &Path) -> Result<()> {
     let configuration = Configuration::read(config_path)?;
     let log = Log::to_stderr(&configuration.config.robot_name());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    // Signals count from here on, also while the node starts.
-    let signals = {
-        let _context = runtime.enter();
-        Signals::new().context("cannot listen to signals")?
-    };
+    // Also while the node starts.
+    let signals = runtime.block_on(async { Signals::new() }).context("cannot listen to signals")?;
     let node = ConfiguredNode::start_with(configuration, Embedding::default(), log)?;
     runtime.block_on(until_ended(&node.node, signals, &node.log));
     let (config, log) = (node.config, node.log);
@@ -312,44 +309,5 @@ async fn until_ended(node: &NodeHandle, mut signals: Signals, log: &Log) {
                 node.stop();
             }
         }
-    }
-}
-
-#[cfg(unix)]
-struct Signals {
-    interrupt: tokio::signal::unix::Signal,
-    terminate: tokio::signal::unix::Signal,
-}
-
-#[cfg(unix)]
-impl Signals {
-    fn new() -> io::Result<Self> {
-        use tokio::signal::unix::{SignalKind, signal};
-        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
-    }
-
-    async fn next(&mut self) -> &'static str {
-        tokio::select! {
-            _ = self.interrupt.recv() => "Ctrl-C",
-            _ = self.terminate.recv() => "SIGTERM",
-        }
-    }
-}
-
-#[cfg(not(unix))]
-struct Signals;
-
-#[cfg(not(unix))]
-impl Signals {
-    fn new() -> std::io::Result<Self> {
-        Ok(Self)
-    }
-
-    async fn next(&mut self) -> &'static str {
-        // Without signals there is nothing to wait for.
-        if tokio::signal::ctrl_c().await.is_err() {
-            std::future::pending::<()>().await;
-        }
-        "Ctrl-C"
     }
 }
