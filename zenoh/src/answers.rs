@@ -1,23 +1,22 @@
-//! What others ask for: what is held, and the packages or the snapshot that they lack. Whoever comes late gets the map, and
-//! not its history.
+//! What others ask for: what is held, and the packages or the snapshot that they lack. Whoever comes late gets the map,
+//! and not its history.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 
 use flockmap::codec::Encoder;
 use flockmap::sync::{IntervalSet, RECEIVED_INTERVALS_MAX};
 use flockmap::{Package, Robot, Stream};
-use flockmap_node::NodeHandle;
 use flockmap_node::store::{Coded, StreamCopy};
-use zenoh::Wait;
+use flockmap_node::{Log, NodeHandle};
 use zenoh::key_expr::KeyExpr;
-use zenoh::query::{Query, ReplyKeyExpr};
 
 use crate::counters::Counters;
 use crate::held::{Held, intervals_text, parse_intervals};
 use crate::keys::{Item, Keys, parse_get};
 use crate::puts::item_of;
+use crate::question::Question;
 
 /// Queries that may wait for their answer; of more, those that come are refused.
 pub(crate) const WAITING_MAX: usize = 64;
@@ -28,6 +27,8 @@ const KEPT_BYTES_MAX: usize = 64 << 20;
 /// A kept snapshot is as good as a new one as long as what came since has not more than this part of its bytes.
 const SINCE_SHARE: usize = 16;
 
+const ENDED: &str = "the node has ended";
+
 /// Answers queries about a swarm, one after the other.
 pub(crate) struct Answers<'a> {
     pub(crate) keys: Keys,
@@ -37,7 +38,13 @@ pub(crate) struct Answers<'a> {
     pub(crate) counters: &'a Counters,
     pub(crate) encoder: Encoder,
     pub(crate) kept: Kept,
+    pub(crate) untold: Untold,
+    pub(crate) log: &'a Log,
 }
+
+/// Runs that could not be told when all were asked for: each is logged once, until it can be told again.
+#[derive(Debug, Default)]
+pub(crate) struct Untold(BTreeSet<Stream>);
 
 /// What somebody wants of a stream.
 struct Wish<'a> {
@@ -61,75 +68,101 @@ enum Found {
 }
 
 impl Answers<'_> {
-    /// Answers until the node has ended, or nobody can ask any more.
-    pub(crate) fn answer_all(mut self, queries: &Receiver<Query>) {
-        for query in queries {
-            let result = self.answer(&query);
+    /// Answers as long as anybody can ask.
+    pub(crate) fn answer_all(mut self, questions: &Receiver<impl Question>) {
+        for question in questions {
+            let result = self.answer(&question);
             self.counters.answered.add(u64::from(result.is_ok()));
             if let Err(why) = result {
                 self.counters.queries_refused.add(1);
-                // Who asked may be gone.
-                let _ = query.reply_err(why).wait();
+                question.refuse(&why);
             }
         }
     }
 
-    fn answer(&mut self, query: &Query) -> Result<(), String> {
-        let held = query.parameters().get("held").unwrap_or_default();
+    fn answer(&mut self, question: &impl Question) -> Result<(), String> {
+        let held = question.parameter("held").unwrap_or_default();
         let held =
             parse_intervals(held).ok_or("held is no list of intervals, expected one as 1-120,130-200")?;
-        let as_snapshot = match query.parameters().get("as") {
+        let as_snapshot = match question.parameter("as") {
             None => false,
             Some("snapshot") => true,
             Some(other) => return Err(format!("as={other}, expected as=snapshot, or none")),
         };
         let wish = Wish { held: &held, as_snapshot };
-        let key = query.key_expr();
+        let key = question.key();
         // A question for several holders: what they hold.
         let holder = self.keys.holder(self.name);
         let held_key = format!("{holder}/held");
         if key.as_str().contains('@') && intersects(key, &held_key) {
-            return self.say_held(query, held_key);
+            return self.say_held(question, &held_key);
         }
         if let Some(rest) = key.as_str().strip_prefix(&holder).and_then(|rest| rest.strip_prefix('/')) {
             let stream = parse_get(rest).ok_or("expected held, or get/ROBOT-RUN, behind the name")?;
-            return self.say_stream(query, stream, &wish);
+            return self.say_stream(question, stream, &wish);
         }
-        let streams = self.node.with_robot(|robot, _| robot.session().streams().collect::<Vec<Stream>>());
-        for stream in streams.ok_or("the node has ended")? {
-            if intersects(key, &format!("{}/**", self.keys.stream(stream))) {
-                self.say_stream(query, stream, &wish)?;
+        self.say_streams(question, &wish)
+    }
+
+    /// All streams that are asked for. One that cannot be told does not keep the others from being told; whoever asked
+    /// hears of it.
+    fn say_streams(&mut self, question: &impl Question, wish: &Wish<'_>) -> Result<(), String> {
+        let streams =
+            self.node.with_robot(|robot, _| robot.session().streams().collect::<BTreeSet<Stream>>());
+        let streams = streams.ok_or(ENDED)?;
+        self.untold.0.retain(|stream| streams.contains(stream));
+        for stream in streams {
+            if !intersects(question.key(), &format!("{}/**", self.keys.stream(stream))) {
+                continue;
             }
+            let Err(why) = self.say_stream(question, stream, wish) else {
+                self.untold.0.remove(&stream);
+                continue;
+            };
+            if self.node.has_ended() {
+                return Err(why);
+            }
+            let why = format!("{stream:?} cannot be told: {why}");
+            self.counters.untold.add(1);
+            if self.untold.0.insert(stream) {
+                self.log.warn(&why);
+            }
+            question.refuse(&why);
         }
         Ok(())
     }
 
-    fn say_held(&self, query: &Query, key: String) -> Result<(), String> {
+    fn say_held(&self, question: &impl Question, key: &str) -> Result<(), String> {
         let on_radio = self.on_radio;
         let held = self.node.with_robot(move |robot, now| Held::of(robot, now, on_radio));
-        let held = held.ok_or("the node has ended")?;
-        let held = held.unless_known(query.parameters().get("unless").unwrap_or_default());
+        let held = held.ok_or(ENDED)?;
+        let held = held.unless_known(question.parameter("unless").unwrap_or_default());
         let text = serde_json::to_string(&held).map_err(|error| error.to_string())?;
         self.counters.answered_bytes.add(text.len() as u64);
-        query.reply(key, text).wait().map_err(|error| error.to_string())
+        question.reply(key, text.into_bytes())
     }
 
-    /// What somebody lacks of a stream who holds these packages: the packages, or a snapshot and what is newer, whichever
-    /// has fewer bytes.
-    fn say_stream(&mut self, query: &Query, stream: Stream, wish: &Wish<'_>) -> Result<(), String> {
+    /// What somebody lacks of a stream who holds these packages: the packages, or a snapshot and what is newer,
+    /// whichever has fewer bytes.
+    fn say_stream(
+        &mut self,
+        question: &impl Question,
+        stream: Stream,
+        wish: &Wish<'_>,
+    ) -> Result<(), String> {
         let Wish { held, as_snapshot } = *wish;
         let kept = self.kept.get(stream).filter(|_| held.is_empty());
         let (held_there, kept_there) = (held.clone(), kept.as_ref().map(|kept| (kept.upto, kept.bytes)));
         let found = self
             .node
             .with_robot(move |robot, _| Found::of(robot, stream, &held_there, as_snapshot, kept_there));
-        match found.ok_or("the node has ended")? {
-            Found::Packages(packages) => self.say_packages(query, &packages),
+        match found.ok_or(ENDED)? {
+            Found::Packages(packages) => self.say_packages(question, &packages),
             Found::Newer(newer) => {
                 if let Some(Snapshot { coded, .. }) = &kept {
-                    self.say(query, coded)?;
+                    self.say(question, coded)?;
                 }
-                self.say_packages(query, &newer)
+                self.say_packages(question, &newer)
             }
             Found::Layer { copy, packages, prefix } => {
                 self.counters.snapshots.add(1);
@@ -138,9 +171,9 @@ impl Answers<'_> {
                 if let Some(packages) =
                     packages.filter(|packages| !as_snapshot && bytes_of(packages) <= bytes)
                 {
-                    return self.say_packages(query, &packages);
+                    return self.say_packages(question, &packages);
                 }
-                self.say(query, &coded)?;
+                self.say(question, &coded)?;
                 if held.is_empty() && coded.contents.is_none() {
                     self.kept.keep(stream, Snapshot { upto: prefix, bytes, coded: Arc::new(coded) });
                 }
@@ -150,26 +183,26 @@ impl Answers<'_> {
         }
     }
 
-    fn say_packages(&self, query: &Query, packages: &[Package]) -> Result<(), String> {
+    fn say_packages(&self, question: &impl Question, packages: &[Package]) -> Result<(), String> {
         packages
             .iter()
-            .try_for_each(|package| self.say_item(query, Item::of(package), package.bytes().to_vec()))
+            .try_for_each(|package| self.say_item(question, Item::of(package), package.bytes().to_vec()))
     }
 
-    fn say(&self, query: &Query, coded: &Coded) -> Result<(), String> {
-        self.say_packages(query, &coded.packages)?;
+    fn say(&self, question: &impl Question, coded: &Coded) -> Result<(), String> {
+        self.say_packages(question, &coded.packages)?;
         let Some(contents) = &coded.contents else { return Ok(()) };
-        self.say_item(query, item_of(contents), intervals_text(&contents.intervals).into_bytes())
+        self.say_item(question, item_of(contents), intervals_text(&contents.intervals).into_bytes())
     }
 
-    /// Replies with this, if the query asks for it.
-    fn say_item(&self, query: &Query, item: Item, bytes: Vec<u8>) -> Result<(), String> {
+    /// Replies with this, if that is asked for.
+    fn say_item(&self, question: &impl Question, item: Item, bytes: Vec<u8>) -> Result<(), String> {
         let key = self.keys.item(item);
-        if query.accepts_replies() != ReplyKeyExpr::Any && !intersects(query.key_expr(), &key) {
+        if !question.takes_any_key() && !intersects(question.key(), &key) {
             return Ok(());
         }
         self.counters.answered_bytes.add(bytes.len() as u64);
-        query.reply(key, bytes).wait().map_err(|error| error.to_string())
+        question.reply(&key, bytes)
     }
 }
 
@@ -256,3 +289,6 @@ fn bytes_of(packages: &[Package]) -> usize {
 fn intersects(key: &KeyExpr<'_>, other: &str) -> bool {
     KeyExpr::new(other).is_ok_and(|other| key.intersects(&other))
 }
+
+#[cfg(test)]
+mod tests;

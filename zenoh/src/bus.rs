@@ -8,8 +8,8 @@ use zenoh::{Config, Session, Wait};
 /// Longest message that is taken in, in bytes. What is held by ten thousand robots is shorter.
 const MESSAGE_BYTES_MAX: usize = 16 << 20;
 
-/// Opens a session. What neither the file nor the command line says is as in Zenoh, except: a client rather than a peer if
-/// there is somewhere to connect, no multicast scouting, and no shared memory.
+/// Opens a session. What neither the file nor the command line says is as in Zenoh, except: a client rather than a peer
+/// if there is somewhere to connect, no multicast scouting, and no shared memory.
 ///
 /// # Errors
 /// Names the file or the endpoint, and what is wrong with it.

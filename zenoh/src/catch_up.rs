@@ -1,56 +1,41 @@
-//! What was missed is asked for: holders are found by their tokens, say what they hold, and are asked for what is lacking.
-//! What is put is the fast way, and this the sure one.
+//! What was missed is asked for: holders are found by their tokens, say what they hold, and are asked for what is
+//! lacking. What is put is the fast way, and this the sure one.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use flockmap::sync::{IntervalSet, RECEIVED_INTERVALS_MAX};
-use flockmap::{RobotId, Stamp, Stream};
+use flockmap::{Resolution, RobotId, Stamp, Stream};
 use flockmap_node::{Log, NodeHandle};
 use zenoh::query::{ConsolidationMode, QueryTarget, ReplyKeyExpr};
 use zenoh::sample::Locality;
 use zenoh::{Session, Wait};
 
+use crate::asked::{Ask, Asked, Outcome};
+use crate::claims::{Answer, Claim, Claims};
+use crate::clocks::Clocks;
 use crate::counters::Counters;
-use crate::held::{HELD_BYTES_MAX, Held, HeldStream, intervals_text, parse_intervals};
+use crate::held::{HELD_BYTES_MAX, Held, intervals_text, parse_intervals};
+use crate::holders::Holders;
 use crate::keys::{Keys, parse_holder};
 use crate::takes::{By, Intake};
 
-/// Holders that are known at once; of more, those that come are not asked.
-const HOLDERS_MAX: usize = 64;
 /// What an answer takes beside its bytes.
 const ANSWER_OVERHEAD_BYTES: usize = 1_000;
-/// An answer that takes longer is not waited for.
+/// An answer of what is held that takes longer is not waited for.
 const HELD_TIMEOUT: Duration = Duration::from_secs(5);
+/// An answer of what is lacking that takes longer comes to an end.
 const GET_TIMEOUT: Duration = Duration::from_secs(120);
-/// What is lacking for no longer may be on its way.
-const PATIENCE: Duration = Duration::from_millis(900);
+/// It is not waited for any more if nothing of it comes for so long; what comes later is taken as well. And a holder
+/// whose answers took longer and brought nothing has had its turn.
+const QUIET_MAX: Duration = Duration::from_secs(30);
+/// While an answer is waited for, it is looked so often whether the node has ended.
+const LOOK_PERIOD: Duration = Duration::from_millis(500);
 /// Look again so soon where something may be on its way.
 const SOON: Duration = Duration::from_secs(1);
-/// A stream of which a holder brought nothing is asked for again after so long, twice as long each time.
-const FRUITLESS: Duration = Duration::from_secs(10);
-const FRUITLESS_MAX: Duration = Duration::from_secs(600);
-/// Clocks that differ from what is set by less stay as they are: each change makes the map anew where it matters.
-const CLOCK_CHANGE_MICROS: u64 = 50_000;
-
-/// The holders of which there is a sign of life.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Holders(Arc<Mutex<BTreeSet<String>>>);
-
-impl Holders {
-    /// Whether it is new, or gone.
-    pub(crate) fn set(&self, name: &str, is_there: bool) -> bool {
-        let mut names = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if is_there { names.len() < HOLDERS_MAX && names.insert(name.to_owned()) } else { names.remove(name) }
-    }
-
-    fn has_others(&self, own: &str) -> bool {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).iter().any(|name| name != own)
-    }
-}
 
 /// Asks for what a swarm's robot here lacks.
 pub(crate) struct CatchUp<'a> {
@@ -61,24 +46,30 @@ pub(crate) struct CatchUp<'a> {
     pub(crate) on_radio: bool,
     pub(crate) period: Duration,
     pub(crate) node: &'a NodeHandle,
-    pub(crate) intake: &'a Intake,
+    /// Answers that are not waited for any more do not keep it there.
+    pub(crate) intake: &'a Arc<Intake>,
     pub(crate) holders: Holders,
     pub(crate) counters: &'a Counters,
     pub(crate) log: &'a Log,
 }
 
-/// What is remembered between two looks.
+/// What is remembered between two looks. All of it is bounded by the holders that may be known and the runs that have a
+/// place here, whatever is claimed.
 #[derive(Default)]
 struct Memory {
-    /// What each holder said last.
-    held: BTreeMap<String, Held>,
-    /// Since when something of a stream is lacking that somebody holds.
-    lacking_since: BTreeMap<Stream, Instant>,
-    /// Where a holder brought nothing of a stream: how often, and when to try again.
-    fruitless: BTreeMap<(String, Stream), (u32, Instant)>,
-    /// The clocks that were set.
-    clocks: BTreeMap<RobotId, i64>,
+    claims: Claims,
+    asked: Asked,
+    clocks: Clocks,
     said_resolution: bool,
+}
+
+/// What of the node matters here.
+struct Own {
+    resolution: Resolution,
+    /// Runs of others that have a place.
+    runs_max: usize,
+    /// The robots of which something is known.
+    robots: BTreeSet<RobotId>,
 }
 
 impl CatchUp<'_> {
@@ -109,36 +100,56 @@ impl CatchUp<'_> {
 
     /// Whether something may be on its way.
     fn look(&self, memory: &mut Memory) -> Result<bool, String> {
-        self.ask_all(memory)?;
-        let mut is_coming = false;
-        let mut names: Vec<String> = memory.held.keys().cloned().collect();
-        // Who is on the radio has measured clocks.
-        names.sort_by_key(|name| memory.held.get(name).is_some_and(|held| !held.on_radio));
+        let Some(own) = self.own() else { return Ok(false) };
+        let (there, came) = self.holders.look();
+        memory.asked.keep_holders(&there, &came);
+        memory.claims.replace(self.ask_all(&memory.claims, &there)?, own.runs_max);
+        if !self.on_radio {
+            self.set_clocks(memory, &own);
+        }
+        let Memory { claims, asked, said_resolution, .. } = memory;
+        let mut names = claims.names();
+        // Who does not answer does not keep those waiting who do.
+        names.sort_by_key(|name| asked.silences(name));
+        let (mut is_coming, mut lacking) = (false, BTreeSet::new());
         for name in names {
-            let Some(held) = memory.held.get(&name).cloned() else { continue };
-            let Some(own) = self.node.with_robot(|robot, _| robot.config().mapper.resolution) else { break };
-            if held.resolution() != Some(own) {
-                if !memory.said_resolution {
-                    memory.said_resolution = true;
-                    let side = f64::from(held.resolution_um) / 1e6;
-                    self.log.warn(format!(
-                        "{name} has voxels of {side} m, expected {own:?} as here: nothing is taken from it"
-                    ));
+            let Some(claim) = claims.get(&name) else { continue };
+            asked.keep_claimed(&name, claim.runs.iter().map(|run| run.stream()));
+            if asked.is_given_up(&name, Instant::now()) {
+                continue;
+            }
+            if Resolution::from_micrometres(claim.resolution_um) != Some(own.resolution) {
+                if !std::mem::replace(said_resolution, true) {
+                    self.warn_resolution(&name, claim, &own);
                 }
                 continue;
             }
-            for stream in &held.streams {
-                let Some(theirs) = parse_intervals(&stream.held) else { continue };
-                is_coming |= self.fetch(memory, &name, stream.stream(), &theirs)?;
-            }
+            is_coming |= self.ask_one(asked, &name, claim, &mut lacking)?;
         }
+        asked.keep_lacking(&lacking);
         Ok(is_coming)
     }
 
-    /// Asks all holders what they hold, and takes their clocks over.
-    fn ask_all(&self, memory: &mut Memory) -> Result<(), String> {
-        let known: Vec<&str> = memory.held.values().map(|held| held.digest.as_str()).collect();
-        let selector = format!("{}?unless={}", self.keys.held_of_all(), known.join(","));
+    /// `None` if the node has ended.
+    fn own(&self) -> Option<Own> {
+        self.node.with_robot(|robot, _| Own {
+            resolution: robot.config().mapper.resolution,
+            runs_max: robot.session().config().streams_max,
+            robots: robot.session().streams().map(|stream| stream.origin).collect(),
+        })
+    }
+
+    fn warn_resolution(&self, name: &str, claim: &Claim, own: &Own) {
+        let side = f64::from(claim.resolution_um) / 1e6;
+        self.log.warn(format!(
+            "{name} has voxels of {side} m, expected {:?} as here: nothing is taken from it",
+            own.resolution
+        ));
+    }
+
+    /// Asks all holders what they hold. Who has no token is not heard.
+    fn ask_all(&self, claims: &Claims, there: &BTreeSet<String>) -> Result<Vec<Answer>, String> {
+        let selector = format!("{}?unless={}", self.keys.held_of_all(), claims.known());
         let asked = self.node.clock().now();
         let (answers, answers_in) = channel();
         let get = self
@@ -151,88 +162,100 @@ impl CatchUp<'_> {
         let (clock, bytes) = (self.node.clock(), AtomicUsize::new(0));
         get.callback(move |reply| {
             let Ok(sample) = reply.result() else { return };
-            let length = sample.payload().len() + ANSWER_OVERHEAD_BYTES;
-            if bytes.fetch_add(length, Ordering::Relaxed) + length <= HELD_BYTES_MAX {
+            let length = sample.payload().len().saturating_add(ANSWER_OVERHEAD_BYTES);
+            if bytes.fetch_add(length, Ordering::Relaxed).saturating_add(length) <= HELD_BYTES_MAX {
                 // Nobody waits any more if this fails.
                 let _ = answers.send((clock.now(), sample.clone()));
             }
         })
         .wait()
         .map_err(|error| error.to_string())?;
-        // What was told to one under a digest need not be told to another under the same.
-        let streams = memory.held.values().map(|held| (held.digest.clone(), held.streams.clone()));
-        let known: BTreeMap<String, Vec<HeldStream>> = streams.collect();
-        let mut held = BTreeMap::new();
+        let mut said = Vec::new();
         for (came, sample) in answers_in {
             let Some((_, _, name)) = parse_holder(sample.key_expr().as_str()) else { continue };
-            let Ok(mut said) = serde_json::from_slice::<Held>(&sample.payload().to_bytes()) else {
+            if !there.contains(name) {
+                continue;
+            }
+            let Ok(held) = serde_json::from_slice::<Held>(&sample.payload().to_bytes()) else {
                 self.counters.refused.add(1);
                 continue;
             };
-            if said.streams.is_empty()
-                && let Some(streams) = known.get(&said.digest)
-            {
-                said.streams.clone_from(streams);
-            }
-            if !self.on_radio {
-                self.take_clocks(memory, &said, clock_ahead(asked, came, said.now_us));
-            }
-            held.insert(name.to_owned(), said);
+            let ahead = clock_ahead(asked, came, held.now_us);
+            said.push(Answer { name: name.to_owned(), held, ahead });
         }
-        memory.held = held;
-        Ok(())
+        Ok(said)
     }
 
-    /// The clocks of robots, as somebody knows them whose own clock is so far ahead of the one here.
-    fn take_clocks(&self, memory: &mut Memory, held: &Held, ahead: i64) {
-        let mut changed = Vec::new();
-        for (robot, micros) in held.streams.iter().filter_map(|s| Some((RobotId(s.origin), s.clock_us?))) {
-            let micros = micros.saturating_add(ahead);
-            let set = memory.clocks.get(&robot).copied();
-            if set.is_none_or(|set| set.abs_diff(micros) > CLOCK_CHANGE_MICROS) {
-                memory.clocks.insert(robot, micros);
-                changed.push((robot, micros));
-            }
-        }
-        if !changed.is_empty() {
+    /// Takes over the clocks of robots.
+    fn set_clocks(&self, memory: &mut Memory, own: &Own) {
+        let changes = memory.clocks.change(&memory.claims.clocks(), &own.robots, own.runs_max);
+        if !changes.is_empty() {
             // Where the node has ended there is no clock to set.
             let _ = self.node.with_robot(move |robot, _| {
-                changed.into_iter().for_each(|(id, micros)| robot.set_clock_offset(id, Some(micros)));
+                changes.into_iter().for_each(|(id, micros)| robot.set_clock_offset(id, micros));
             });
         }
     }
 
-    /// Asks a holder for what is lacking of a stream, and waits until it is merged. Whether something may be on its way,
-    /// so that it was not asked for.
+    /// Asks a holder for what is lacking, run after run, until it has had its turn. Whether something may be on its
+    /// way, so that it was not asked for; notes of which runs a part is lacking.
+    fn ask_one(
+        &self,
+        asked: &mut Asked,
+        name: &str,
+        claim: &Claim,
+        lacking: &mut BTreeSet<Stream>,
+    ) -> Result<bool, String> {
+        let (mut is_coming, mut in_vain) = (false, Duration::ZERO);
+        for run in claim.runs.iter() {
+            let stream = run.stream();
+            let Some(theirs) = parse_intervals(&run.held) else { continue };
+            let Some(own) = self.received(stream) else { break };
+            if theirs.difference(&own).is_empty() {
+                asked.note_whole(name, stream);
+                continue;
+            }
+            if !own.is_empty() {
+                lacking.insert(stream);
+            }
+            let began = Instant::now();
+            let as_snapshot = match asked.ask(name, stream, !own.is_empty(), began) {
+                Ask::Now { as_snapshot } if !self.intake.is_full() => as_snapshot,
+                Ask::Soon => {
+                    is_coming = true;
+                    continue;
+                }
+                Ask::Now { .. } | Ask::Later => continue,
+            };
+            let Some(outcome) = self.fetch(name, stream, (&theirs, &own), as_snapshot)? else { break };
+            let now = Instant::now();
+            if asked.note(name, stream, outcome, now) {
+                self.log.info(format!("{name} does not answer: others are asked, and it again later"));
+            }
+            if outcome != Outcome::Brought {
+                in_vain += now.duration_since(began);
+            }
+            if outcome == Outcome::Silence || in_vain >= QUIET_MAX {
+                break;
+            }
+        }
+        Ok(is_coming)
+    }
+
+    /// Asks a holder for what is lacking of a run of which it holds `theirs` and this robot `own`, and waits until it
+    /// is merged. `None` if the node has ended.
     fn fetch(
         &self,
-        memory: &mut Memory,
         name: &str,
         stream: Stream,
-        theirs: &IntervalSet,
-    ) -> Result<bool, String> {
-        let Some(own) = self.received(stream) else { return Ok(false) };
-        let lacking = theirs.difference(&own).count();
-        if lacking == 0 {
-            memory.lacking_since.remove(&stream);
-            memory.fruitless.retain(|(_, other), _| *other != stream);
-            return Ok(false);
-        }
-        let now = Instant::now();
-        let since = *memory.lacking_since.entry(stream).or_insert(now);
-        if !own.is_empty() && now.duration_since(since) < PATIENCE {
-            return Ok(true);
-        }
-        let key = (name.to_owned(), stream);
-        if memory.fruitless.get(&key).is_some_and(|(_, again)| *again > now) || self.intake.is_full() {
-            return Ok(false);
-        }
-        // What could not be decoded may be told by a snapshot.
-        let form = if memory.fruitless.contains_key(&key) { ";as=snapshot" } else { "" };
-        let selector =
-            format!("{}?held={}{form}", self.keys.get(name, stream), intervals_text(own.intervals()));
-        let intake = self.intake.clone();
-        let (done, is_done) = channel::<()>();
+        (theirs, own): (&IntervalSet, &IntervalSet),
+        as_snapshot: bool,
+    ) -> Result<Option<Outcome>, String> {
+        let form = if as_snapshot { ";as=snapshot" } else { "" };
+        let held = intervals_text(own.intervals());
+        let selector = format!("{}?held={held}{form}", self.keys.get(name, stream));
+        let intake = Arc::downgrade(self.intake);
+        let (replies, replies_in) = channel();
         let get = self
             .session
             .get(selector)
@@ -241,30 +264,28 @@ impl CatchUp<'_> {
             .allowed_destination(Locality::Remote)
             .timeout(GET_TIMEOUT);
         get.callback(move |reply| {
-            let _held_until_the_last_reply = &done;
-            if let Ok(sample) = reply.result() {
+            if let (Ok(sample), Some(intake)) = (reply.result(), intake.upgrade()) {
                 intake.take(sample, By::Answer);
             }
+            // It may be that nobody waits any more.
+            let _ = replies.send(());
         })
         .wait()
         .map_err(|error| error.to_string())?;
-        // Nothing is ever sent: it ends with the callback.
-        let _ = is_done.recv();
+        let has_answered = wait_for(&replies_in, QUIET_MAX, || self.node.has_ended());
         self.intake.wait_merged();
-        let Some(after) = self.received(stream) else { return Ok(false) };
-        if theirs.difference(&after).count() < lacking {
-            memory.fruitless.remove(&key);
+        let Some(after) = self.received(stream) else { return Ok(None) };
+        // What came meanwhile without an answer was put, by whoever else.
+        Ok(Some(if !has_answered {
+            Outcome::Silence
+        } else if theirs.difference(&after).count() < theirs.difference(own).count() {
+            Outcome::Brought
         } else {
-            let (times, again) = memory.fruitless.entry(key).or_insert((0, now));
-            // The first time, at once.
-            let pause = if *times == 0 { Duration::ZERO } else { FRUITLESS * (1 << (*times).min(6)) };
-            *again = Instant::now() + pause.min(FRUITLESS_MAX);
-            *times += 1;
-        }
-        Ok(false)
+            Outcome::Nothing
+        }))
     }
 
-    /// What is held here of a stream; `None` if the node has ended.
+    /// What is held here of a run; `None` if the node has ended.
     fn received(&self, stream: Stream) -> Option<IntervalSet> {
         self.node.with_robot(move |robot, _| {
             let none = || IntervalSet::new(RECEIVED_INTERVALS_MAX);
@@ -273,7 +294,59 @@ impl CatchUp<'_> {
     }
 }
 
+/// Waits for the end of an answer, or until nothing of it comes for so long, or nobody wants it any more. Whether there
+/// was one: a reply, or an end without any.
+fn wait_for(replies: &Receiver<()>, quiet_max: Duration, is_unwanted: impl Fn() -> bool) -> bool {
+    let (mut has_answered, mut left) = (false, quiet_max);
+    loop {
+        let step = left.min(LOOK_PERIOD);
+        match replies.recv_timeout(step) {
+            Ok(()) => (has_answered, left) = (true, quiet_max),
+            Err(RecvTimeoutError::Disconnected) => return true,
+            Err(RecvTimeoutError::Timeout) => left -= step,
+        }
+        if left.is_zero() || is_unwanted() {
+            return has_answered;
+        }
+    }
+}
+
 /// How far a clock is ahead of the own one that showed a time between these two.
 fn clock_ahead(asked: Stamp, came: Stamp, shown_us: i64) -> i64 {
     shown_us.saturating_sub(asked.0 / 2 + came.0 / 2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_without_packages_is_an_answer_and_silence_is_none() {
+        let (replies, replies_in) = channel();
+        // Still nothing, and no patience.
+        assert!(!wait_for(&replies_in, Duration::ZERO, || false));
+        drop(replies);
+        assert!(wait_for(&replies_in, QUIET_MAX, || false));
+    }
+
+    #[test]
+    fn who_has_answered_a_part_has_answered() {
+        let (replies, replies_in) = channel();
+        replies.send(()).unwrap();
+        assert!(wait_for(&replies_in, QUIET_MAX, || true));
+    }
+
+    #[test]
+    fn an_answer_is_not_waited_for_when_the_node_has_ended() {
+        let (_replies, replies_in) = channel();
+        // It would be quiet for far longer.
+        assert!(!wait_for(&replies_in, Duration::from_secs(86_400), || true));
+    }
+
+    #[test]
+    fn a_clock_that_shows_the_same_in_the_middle_is_not_ahead() {
+        assert_eq!(clock_ahead(Stamp(100), Stamp(300), 200), 0);
+        assert_eq!(clock_ahead(Stamp(100), Stamp(300), 1_200), 1_000);
+        assert_eq!(clock_ahead(Stamp(i64::MAX), Stamp(i64::MAX), i64::MIN), i64::MIN);
+    }
 }

@@ -35,6 +35,8 @@ pub(crate) struct Counters {
     pub(crate) answered: Counter,
     pub(crate) answered_bytes: Counter,
     pub(crate) queries_refused: Counter,
+    /// Runs that could not be told when all were asked for.
+    pub(crate) untold: Counter,
     /// Snapshots that were coded for answers.
     pub(crate) snapshots: Counter,
 }
@@ -55,6 +57,7 @@ impl Counters {
             ("zenoh_answered", &self.answered),
             ("zenoh_answered_bytes", &self.answered_bytes),
             ("zenoh_queries_refused", &self.queries_refused),
+            ("zenoh_untold", &self.untold),
             ("zenoh_snapshots", &self.snapshots),
         ];
         all.map(|(name, counter)| (name, Arc::clone(&counter.0))).to_vec()

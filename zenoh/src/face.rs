@@ -1,7 +1,7 @@
 //! What a node is towards Zenoh: it puts, takes, answers and catches up, each on a thread of its own.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -14,11 +14,13 @@ use zenoh::query::{Query, Queryable};
 use zenoh::sample::{Locality, SampleKind};
 use zenoh::{Session, Wait};
 
-use crate::answers::{Answers, Kept, WAITING_MAX};
-use crate::catch_up::{CatchUp, Holders};
+use crate::answers::{Answers, Kept, Untold, WAITING_MAX};
+use crate::catch_up::CatchUp;
 use crate::counters::Counters;
+use crate::holders::Holders;
 use crate::keys::{Keys, parse_holder};
 use crate::puts::{Noted, Put, put_all};
+use crate::question::Question;
 use crate::takes::{By, Intake};
 
 /// What a node does beyond its radio.
@@ -56,6 +58,7 @@ pub(crate) struct Watched {
 }
 
 /// The threads of a node, and what they have declared.
+#[derive(Default)]
 pub(crate) struct Face {
     threads: Vec<JoinHandle<()>>,
     tokens: Option<Subscriber<()>>,
@@ -66,107 +69,94 @@ pub(crate) struct Face {
     wake: Option<SyncSender<()>>,
 }
 
+/// What all of them work with.
+struct Parts<'a> {
+    identity: &'a Identity,
+    node: &'a Arc<ConfiguredNode>,
+    counters: &'a Counters,
+    log: &'a Log,
+}
+
 impl Face {
     /// Starts them.
     pub(crate) fn start(
-        identity: Identity,
+        identity: &Identity,
         node: &Arc<ConfiguredNode>,
         watched: Watched,
         log: &Log,
     ) -> Result<Self> {
-        let Identity { session, keys, name, roles, period } = identity;
         let Watched { puts, noted, counters } = watched;
-        let mut face = Self {
-            threads: Vec::new(),
-            tokens: None,
-            subscriber: None,
-            queryables: Vec::new(),
-            token: None,
-            wake: None,
-        };
+        let roles = identity.roles;
+        let parts = Parts { identity, node, counters: &counters, log };
+        let mut face = Self::default();
         if roles.puts {
-            let (session, counters) = (session.clone(), counters.clone());
-            face.thread("put", move || put_all(&session, keys, &puts, &counters))?;
+            face.start_putting(&parts, puts)?;
         }
         if roles.takes {
-            face.take(&session, (keys, &name, roles, period), node, (noted, &counters), log)?;
+            let intake = face.start_giving(&parts, noted)?;
+            let holders = Holders::default();
+            let woken = face.look_for_holders(&parts, holders.clone())?;
+            face.subscribe(&parts, Arc::clone(&intake))?;
+            face.start_catching_up(&parts, intake, holders, woken)?;
         }
         if roles.answers {
-            let (queries, queries_in) = sync_channel(WAITING_MAX);
-            {
-                let (node, name, counters) = (Arc::clone(node), name.clone(), counters.clone());
-                face.thread("answers", move || {
-                    let answers = Answers {
-                        keys,
-                        name: &name,
-                        on_radio: roles.on_radio,
-                        node: &node.node,
-                        counters: &counters,
-                        encoder: Encoder::new(),
-                        kept: Kept::default(),
-                    };
-                    answers.answer_all(&queries_in);
-                })?;
-            }
-            let mut places = vec![format!("{}/**", keys.holder(&name))];
-            if roles.answers_everybody {
-                places.push(keys.all());
-            }
-            for place in places {
-                let (queries, refused) = (queries.clone(), counters.clone());
-                let queryable =
-                    session.declare_queryable(place).complete(true).callback(move |query: Query| {
-                        if let Err(left) = queries.try_send(query) {
-                            refused.queries_refused.add(1);
-                            let query = match left {
-                                std::sync::mpsc::TrySendError::Full(query)
-                                | std::sync::mpsc::TrySendError::Disconnected(query) => query,
-                            };
-                            // Who asked may be gone.
-                            let _ = query.reply_err("too many ask at once: ask again").wait();
-                        }
-                    });
-                face.queryables.push(queryable.wait().map_err(|error| anyhow!("cannot answer: {error}"))?);
-            }
-            let token = session.liveliness().declare_token(keys.holder(&name)).wait();
-            face.token = Some(token.map_err(|error| anyhow!("cannot be found by others: {error}"))?);
+            let questions = face.start_answering(&parts)?;
+            face.take_questions(&parts, &questions)?;
+            // Found once it can answer.
+            face.be_found(&parts)?;
         }
         Ok(face)
     }
 
-    fn take(
-        &mut self,
-        session: &Session,
-        (keys, name, roles, period): (Keys, &str, Roles, Duration),
-        node: &Arc<ConfiguredNode>,
-        (noted, counters): (Noted, &Counters),
-        log: &Log,
-    ) -> Result<()> {
-        let (intake, outlet) = Intake::new(keys, noted, counters.clone());
-        {
-            let node = Arc::clone(node);
-            self.thread("take", move || outlet.give_all(&node.node))?;
-        }
+    fn start_putting(&mut self, parts: &Parts<'_>, puts: Receiver<Put>) -> Result<()> {
+        let Identity { session, keys, .. } = parts.identity.clone();
+        let counters = parts.counters.clone();
+        self.thread("put", move || put_all(&session, keys, &puts, &counters))
+    }
+
+    /// Gives the robot what comes into the intake.
+    fn start_giving(&mut self, parts: &Parts<'_>, noted: Noted) -> Result<Arc<Intake>> {
+        let (intake, outlet) = Intake::new(parts.identity.keys, noted, parts.counters.clone());
+        let node = Arc::clone(parts.node);
+        self.thread("take", move || outlet.give_all(&node.node))?;
+        Ok(Arc::new(intake))
+    }
+
+    /// Notes the holders that come and go. What it returns is told when one does.
+    fn look_for_holders(&mut self, parts: &Parts<'_>, holders: Holders) -> Result<Receiver<()>> {
+        let Identity { session, keys, .. } = parts.identity;
         let (wake, woken) = sync_channel(1);
-        let holders = Holders::default();
-        let (seen, waking) = (holders.clone(), wake.clone());
+        self.wake = Some(wake.clone());
         let tokens = session.liveliness().declare_subscriber(keys.holder("*")).history(true);
         let tokens = tokens.callback(move |token| {
             let Some((_, _, name)) = parse_holder(token.key_expr().as_str()) else { return };
-            if seen.set(name, token.kind() == SampleKind::Put) {
+            if holders.set(name, token.kind() == SampleKind::Put) {
                 // If it is being woken already, that will do.
-                let _ = waking.try_send(());
+                let _ = wake.try_send(());
             }
         });
         self.tokens = Some(tokens.wait().map_err(|error| anyhow!("cannot look for holders: {error}"))?);
-        let put = intake.clone();
+        Ok(woken)
+    }
+
+    fn subscribe(&mut self, parts: &Parts<'_>, intake: Arc<Intake>) -> Result<()> {
+        let Identity { session, keys, .. } = parts.identity;
         // What this session puts itself is not for it.
         let subscriber = session.declare_subscriber(keys.all()).allowed_origin(Locality::Remote);
-        let subscriber = subscriber.callback(move |sample| put.take(&sample, By::Put)).wait();
+        let subscriber = subscriber.callback(move |sample| intake.take(&sample, By::Put)).wait();
         self.subscriber = Some(subscriber.map_err(|error| anyhow!("cannot subscribe: {error}"))?);
-        self.wake = Some(wake);
-        let (session, name, node) = (session.clone(), name.to_owned(), Arc::clone(node));
-        let (counters, log) = (counters.clone(), log.clone());
+        Ok(())
+    }
+
+    fn start_catching_up(
+        &mut self,
+        parts: &Parts<'_>,
+        intake: Arc<Intake>,
+        holders: Holders,
+        woken: Receiver<()>,
+    ) -> Result<()> {
+        let Identity { session, keys, name, roles, period } = parts.identity.clone();
+        let (node, counters, log) = (Arc::clone(parts.node), parts.counters.clone(), parts.log.clone());
         self.thread("catch-up", move || {
             let catch_up = CatchUp {
                 session: &session,
@@ -182,6 +172,57 @@ impl Face {
             };
             catch_up.run(&woken);
         })
+    }
+
+    /// Answers the questions that it returns the way to.
+    fn start_answering(&mut self, parts: &Parts<'_>) -> Result<SyncSender<Query>> {
+        let (questions, questions_in) = sync_channel(WAITING_MAX);
+        let Identity { keys, name, roles, .. } = parts.identity.clone();
+        let (node, counters, log) = (Arc::clone(parts.node), parts.counters.clone(), parts.log.clone());
+        self.thread("answers", move || {
+            let answers = Answers {
+                keys,
+                name: &name,
+                on_radio: roles.on_radio,
+                node: &node.node,
+                counters: &counters,
+                encoder: Encoder::new(),
+                kept: Kept::default(),
+                untold: Untold::default(),
+                log: &log,
+            };
+            answers.answer_all(&questions_in);
+        })?;
+        Ok(questions)
+    }
+
+    fn take_questions(&mut self, parts: &Parts<'_>, questions: &SyncSender<Query>) -> Result<()> {
+        let Identity { session, keys, name, roles, .. } = parts.identity;
+        let mut places = vec![format!("{}/**", keys.holder(name))];
+        if roles.answers_everybody {
+            places.push(keys.all());
+        }
+        for place in places {
+            let (questions, counters) = (questions.clone(), parts.counters.clone());
+            let queryable = session.declare_queryable(place).complete(true).callback(move |query| {
+                let Err(TrySendError::Full(query) | TrySendError::Disconnected(query)) =
+                    questions.try_send(query)
+                else {
+                    return;
+                };
+                counters.queries_refused.add(1);
+                query.refuse("too many ask at once: ask again");
+            });
+            self.queryables.push(queryable.wait().map_err(|error| anyhow!("cannot answer: {error}"))?);
+        }
+        Ok(())
+    }
+
+    fn be_found(&mut self, parts: &Parts<'_>) -> Result<()> {
+        let Identity { session, keys, name, .. } = parts.identity;
+        let token = session.liveliness().declare_token(keys.holder(name)).wait();
+        self.token = Some(token.map_err(|error| anyhow!("cannot be found by others: {error}"))?);
+        Ok(())
     }
 
     fn thread(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<()> {

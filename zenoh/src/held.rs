@@ -60,7 +60,18 @@ impl Held {
             })
             .collect();
         let resolution_um = robot.config().mapper.resolution.micrometres();
-        Self { digest: digest(resolution_um, &streams), now_us: now.0, on_radio, resolution_um, streams }
+        Self { now_us: now.0, on_radio, ..Self::new(resolution_um, streams) }
+    }
+
+    /// These streams, with their digest.
+    pub(crate) fn new(resolution_um: u32, streams: Vec<HeldStream>) -> Self {
+        let digest = digest(resolution_um, &streams);
+        Self { digest, now_us: 0, on_radio: false, resolution_um, streams }
+    }
+
+    /// Whether the digest is that of the streams.
+    pub(crate) fn has_true_digest(&self) -> bool {
+        self.digest == digest(self.resolution_um, &self.streams)
     }
 
     /// The same for who knows it already.

@@ -1,5 +1,5 @@
-//! Two swarms far apart: the whole repair protocol over Zenoh, one datagram a message. Zenoh keeps no order of its own here
-//! and repairs nothing: what finds no place is dropped, as on a radio, and the session paces itself.
+//! Two swarms far apart: the whole repair protocol over Zenoh, one datagram a message. Zenoh keeps no order of its own
+//! here and repairs nothing: what finds no place is dropped, as on a radio, and the session paces itself.
 
 use std::collections::BTreeMap;
 use std::io;

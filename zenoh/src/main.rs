@@ -1,17 +1,22 @@
 //! The maps of swarms beyond their radio, over Zenoh. `docs/fleet.md` is the manual.
 
 mod answers;
+mod asked;
 mod bus;
 mod catch_up;
+mod claims;
+mod clocks;
 mod counters;
 mod face;
 mod held;
+mod holders;
 mod keys;
 mod link;
 mod members;
+mod newcomers;
 mod puts;
+mod question;
 mod run;
-mod signals;
 mod takes;
 
 use std::collections::BTreeSet;
@@ -80,8 +85,8 @@ pub(crate) struct Gateway {
     /// Configuration of the node, as of `flockmap node`
     #[arg(short, long, value_name = "FILE")]
     config: PathBuf,
-    /// Take packages from Zenoh too, and send them on over the radio: for a swarm that is joined to another one. Whoever
-    /// may put packages there can then change the maps of the robots
+    /// Take packages from Zenoh too, and send them on over the radio: for a swarm that is joined to another one.
+    /// Whoever may put packages there can then change the maps of the robots
     #[arg(long)]
     take: bool,
     #[command(flatten)]

@@ -1,11 +1,11 @@
-//! The swarms of an archive or a ground station: each has a node of its own here, started when somebody holds its packages,
-//! or when something of it is on disk.
+//! The swarms of an archive or a ground station: each has a node of its own here, started when somebody holds its
+//! packages, or when something of it is on disk.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::mpsc::{Sender, channel};
-use std::time::Duration;
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
 use flockmap::Resolution;
@@ -21,6 +21,7 @@ use crate::counters::Counters;
 use crate::face::{Face, Identity, Roles, Watched};
 use crate::held::{HELD_BYTES_MAX, Held};
 use crate::keys::{Keys, holders_of, parse_holder};
+use crate::newcomers::{Newcomers, Sighting};
 use crate::puts::{Noted, observer};
 
 /// Swarms at once.
@@ -72,17 +73,27 @@ pub(crate) struct Members {
     common: Common,
     log: Log,
     running: BTreeMap<u16, Member>,
+    newcomers: Newcomers,
+    /// What is answered to whoever asks for the voxels of a newcomer.
+    answers: BTreeMap<u16, Receiver<Resolution>>,
     said_full: bool,
 }
 
 impl Members {
     pub(crate) fn new(common: Common, log: Log) -> Self {
-        Self { common, log, running: BTreeMap::new(), said_full: false }
+        Self {
+            common,
+            log,
+            running: BTreeMap::new(),
+            newcomers: Newcomers::default(),
+            answers: BTreeMap::new(),
+            said_full: false,
+        }
     }
 
-    /// Looks for swarms: those on disk at once, then whoever is found. The swarm of each holder that comes is sent; an error
+    /// Looks for swarms: those on disk at once, then whoever is found. Each holder that comes or goes is sent; an error
     /// is one of what was found on disk.
-    pub(crate) fn find(&mut self, found: Sender<u16>) -> Result<Vec<Subscriber<()>>> {
+    pub(crate) fn find(&mut self, found: Sender<Sighting>) -> Result<Vec<Subscriber<()>>> {
         for (swarm, resolution) in self.on_disk()? {
             if self.is_wanted(swarm) {
                 self.start(swarm, resolution)?;
@@ -94,18 +105,17 @@ impl Members {
         wanted.into_iter().map(|swarm| self.find_holders(&holders_of(swarm), found.clone())).collect()
     }
 
-    fn find_holders(&self, place: &str, found: Sender<u16>) -> Result<Subscriber<()>> {
-        let log = self.log.clone();
+    fn find_holders(&self, place: &str, found: Sender<Sighting>) -> Result<Subscriber<()>> {
+        let (log, said) = (self.log.clone(), Mutex::new(BTreeSet::new()));
         let tokens = self.common.session.liveliness().declare_subscriber(place).history(true);
         let tokens = tokens.callback(move |token| {
             let Some((swarm, version, name)) = parse_holder(token.key_expr().as_str()) else { return };
-            if token.kind() != SampleKind::Put {
-                return;
-            }
+            let is_there = token.kind() == SampleKind::Put;
             if version == FORMAT_VERSION {
                 // Nobody looks any more if this fails.
-                let _ = found.send(swarm);
-            } else {
+                let _ = found.send(Sighting { swarm, name: name.to_owned(), is_there });
+            } else if is_there && said.lock().unwrap_or_else(PoisonError::into_inner).insert(version) {
+                // Once for each version, whoever comes and goes.
                 log.warn(format!(
                     "{name} of swarm {swarm} has version {version} of the format, and this program {FORMAT_VERSION}"
                 ));
@@ -114,23 +124,52 @@ impl Members {
         tokens.wait().map_err(|error| anyhow!("cannot look for swarms: {error}"))
     }
 
-    /// Takes up a swarm of which a holder was found, if it is wanted and not here yet.
-    pub(crate) fn take_up(&mut self, swarm: u16) {
-        if self.running.contains_key(&swarm) || !self.is_wanted(swarm) {
-            return;
-        }
-        if self.running.len() >= SWARMS_MAX {
-            if !std::mem::replace(&mut self.said_full, true) {
-                self.log.warn(format!("swarm {swarm} and others are left out: there are {SWARMS_MAX} here; --swarm says which are wanted"));
+    /// Takes up the swarms of which holders were found, as far as they are wanted and not here yet. Never waits: to be
+    /// called again and again.
+    pub(crate) fn take_up(&mut self, found: &Receiver<Sighting>, now: Instant) {
+        for sighting in found.try_iter() {
+            if self.is_wanted(sighting.swarm) && !self.running.contains_key(&sighting.swarm) {
+                self.newcomers.note(sighting);
             }
-            return;
         }
-        let Some(resolution) = ask_resolution(&self.common.session, Keys { swarm }) else {
-            // It comes with the next holder.
-            return;
-        };
-        if let Err(error) = self.start(swarm, resolution) {
+        while let Some(swarm) = self.newcomers.due(now) {
+            if self.running.len() >= SWARMS_MAX {
+                self.leave_out(swarm);
+            } else {
+                self.answers.insert(swarm, ask_resolution(&self.common.session, Keys { swarm }));
+            }
+        }
+        let asked: Vec<u16> = self.answers.keys().copied().collect();
+        for swarm in asked {
+            match self.answers.get(&swarm).map(Receiver::try_recv) {
+                Some(Ok(resolution)) => {
+                    self.answers.remove(&swarm);
+                    self.newcomers.forget(swarm);
+                    self.take_up_one(swarm, resolution);
+                }
+                Some(Err(TryRecvError::Disconnected)) => {
+                    self.answers.remove(&swarm);
+                    self.newcomers.note_silence(swarm, now);
+                }
+                Some(Err(TryRecvError::Empty)) | None => {}
+            }
+        }
+    }
+
+    fn take_up_one(&mut self, swarm: u16, resolution: Resolution) {
+        if self.running.len() >= SWARMS_MAX {
+            self.leave_out(swarm);
+        } else if let Err(error) = self.start(swarm, resolution) {
             self.log.warn(format!("swarm {swarm} is left out: {error:#}"));
+        }
+    }
+
+    fn leave_out(&mut self, swarm: u16) {
+        self.newcomers.forget(swarm);
+        if !std::mem::replace(&mut self.said_full, true) {
+            self.log.warn(format!(
+                "swarm {swarm} and others are left out: there are {SWARMS_MAX} here; --swarm says which are wanted"
+            ));
         }
     }
 
@@ -228,7 +267,7 @@ pub(crate) fn start_with(
     let embedding = Embedding { observer, counters: counters.for_node(), ..Embedding::default() };
     let node = Arc::new(start(embedding)?);
     let watched = Watched { puts, noted, counters };
-    let face = Face::start(identity, &node, watched, log)?;
+    let face = Face::start(&identity, &node, watched, log)?;
     Ok(Member { node, face })
 }
 
@@ -245,8 +284,9 @@ pub(crate) fn set(table: &mut Table, section: &str, key: &str, value: Value) {
     }
 }
 
-/// The voxels of a swarm, as somebody says who holds packages of it.
-pub(crate) fn ask_resolution(session: &Session, keys: Keys) -> Option<Resolution> {
+/// Asks for the voxels of a swarm whoever holds packages of it. Does not wait: what is answered can be received, until
+/// nobody answers any more.
+pub(crate) fn ask_resolution(session: &Session, keys: Keys) -> Receiver<Resolution> {
     let (answers, answers_in) = channel();
     let get = session.get(keys.held_of_all()).target(QueryTarget::All).consolidation(ConsolidationMode::None);
     let get = get.allowed_destination(Locality::Remote).timeout(ANSWER_TIMEOUT);
@@ -254,13 +294,15 @@ pub(crate) fn ask_resolution(session: &Session, keys: Keys) -> Option<Resolution
         if let Ok(sample) = reply.result()
             && sample.payload().len() <= HELD_BYTES_MAX
             && let Ok(held) = serde_json::from_slice::<Held>(&sample.payload().to_bytes())
+            && let Some(resolution) = held.resolution()
         {
             // One answer is enough.
-            let _ = answers.send(held.resolution());
+            let _ = answers.send(resolution);
         }
     });
-    get.wait().ok()?;
-    answers_in.iter().flatten().next()
+    // A question that could not be asked is one that nobody answers.
+    drop(get.wait());
+    answers_in
 }
 
 #[cfg(test)]

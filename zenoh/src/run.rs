@@ -5,10 +5,10 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
-use flockmap_node::{Configuration, ConfiguredNode, Log, Summary};
+use flockmap_node::{Configuration, ConfiguredNode, Log, Signals, Summary};
 use toml::{Table, Value};
 use zenoh::{Session, Wait};
 
@@ -16,7 +16,6 @@ use crate::face::{Identity, Roles};
 use crate::keys::{Keys, is_name};
 use crate::link::Link;
 use crate::members::{Common, Member, Members, ask_resolution, read, set, start_with};
-use crate::signals::Signals;
 use crate::{Archive, Bus, Gateway, Join, Station, Swarms, bus};
 
 /// How often it is looked whether a node has ended by itself.
@@ -103,6 +102,8 @@ pub(crate) fn archive(options: &Archive) -> Result<()> {
     let values = move |_, _| {
         let mut values = values.clone();
         set(&mut values, "store", "bytes_max", Value::Integer(bytes_max));
+        // Layers are what it gives; a map nobody reads would take as much memory and time again.
+        set(&mut values, "fusion", "mutes_others", Value::Boolean(true));
         values
     };
     let roles = Roles { puts: false, takes: true, answers: true, answers_everybody: true, on_radio: false };
@@ -155,7 +156,7 @@ pub(crate) fn join(options: &Join) -> Result<()> {
     // The ends may be of different swarms.
     set(&mut values, "session", "swarm", Value::Integer(0));
     let resolution = loop {
-        if let Some(resolution) = ask_resolution(&program.session, Keys { swarm: *swarm }) {
+        if let Ok(resolution) = ask_resolution(&program.session, Keys { swarm: *swarm }).recv() {
             break resolution;
         }
         let Program { runtime, signals, log, .. } = &mut program;
@@ -238,11 +239,9 @@ fn members(
     if members.is_empty() {
         program.log.info("waits for a gateway or an archive");
     }
-    let began = std::time::Instant::now();
+    let began = Instant::now();
     program.wait(|| {
-        // Of a crowd of holders each swarm is looked at once.
-        let swarms: std::collections::BTreeSet<u16> = found_in.try_iter().collect();
-        swarms.into_iter().for_each(|swarm| members.take_up(swarm));
+        members.take_up(&found_in, Instant::now());
         end_after.is_some_and(|after| began.elapsed() >= after)
     });
     drop(tokens);

@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::time::Duration;
 
-use flockmap::Package;
 use flockmap::codec::PACKAGE_BYTES_MAX;
 use flockmap::sync::RECEIVED_INTERVALS_MAX;
+use flockmap::{Package, RestoreError, Robot, Stamp};
 use flockmap_node::NodeHandle;
 use flockmap_node::store::Contents;
 use zenoh::sample::{Sample, SampleKind};
@@ -33,8 +33,16 @@ const CONTENTS_BYTES_MAX: usize = 22 * RECEIVED_INTERVALS_MAX;
 enum Take {
     Package(Package),
     Contents(Contents),
-    /// All before this has been given to the robot, and it has merged it.
-    Fence(SyncSender<()>),
+}
+
+/// Told when all that came before it has been given to the robot, and merged.
+struct Fence(SyncSender<()>);
+
+/// What waits, in the order in which it came.
+enum Waiting {
+    /// For the robot, with what it counts in bytes.
+    Take(Take, usize),
+    Fence(Fence),
 }
 
 /// How something came.
@@ -47,10 +55,9 @@ pub(crate) enum By {
 }
 
 /// Where what comes waits for the robot.
-#[derive(Clone)]
 pub(crate) struct Intake {
     keys: Keys,
-    takes: Sender<(Take, usize)>,
+    waiting: Sender<Waiting>,
     waiting_bytes: Arc<AtomicUsize>,
     counters: Counters,
 }
@@ -58,15 +65,15 @@ pub(crate) struct Intake {
 impl Intake {
     /// And its other end.
     pub(crate) fn new(keys: Keys, noted: Noted, counters: Counters) -> (Self, Outlet) {
-        let (takes, takes_in) = channel();
+        let (waiting, waiting_in) = channel();
         let waiting_bytes = Arc::<AtomicUsize>::default();
         let outlet = Outlet {
-            takes: takes_in,
+            waiting: waiting_in,
             waiting_bytes: Arc::clone(&waiting_bytes),
             noted,
             counters: counters.clone(),
         };
-        (Self { keys, takes, waiting_bytes, counters }, outlet)
+        (Self { keys, waiting, waiting_bytes, counters }, outlet)
     }
 
     /// Checks what came; it waits for the robot then. Called in threads of Zenoh: never waits. Whatever the key and the
@@ -83,7 +90,7 @@ impl Intake {
         count.add(1);
         count_bytes.add(length as u64);
         if self.waiting_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > bytes_max
-            || self.takes.send((take, bytes)).is_err()
+            || self.waiting.send(Waiting::Take(take, bytes)).is_err()
         {
             self.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
             counters.dropped.add(1);
@@ -118,7 +125,7 @@ impl Intake {
     /// Waits until the robot has merged what came before; not at all once the node has ended.
     pub(crate) fn wait_merged(&self) {
         let (done, is_done) = sync_channel(1);
-        if self.takes.send((Take::Fence(done), 0)).is_ok() {
+        if self.waiting.send(Waiting::Fence(Fence(done))).is_ok() {
             // An error means that the node has ended.
             let _ = is_done.recv();
         }
@@ -132,7 +139,7 @@ impl Intake {
 
 /// Gives what waits to the robot.
 pub(crate) struct Outlet {
-    takes: Receiver<(Take, usize)>,
+    waiting: Receiver<Waiting>,
     waiting_bytes: Arc<AtomicUsize>,
     noted: Noted,
     counters: Counters,
@@ -141,45 +148,32 @@ pub(crate) struct Outlet {
 impl Outlet {
     /// Until the node has ended, or nothing can come any more.
     pub(crate) fn give_all(self, node: &NodeHandle) {
-        while let Ok(first) = self.takes.recv() {
-            let more = self.takes.try_iter().take(AT_ONCE - 1);
-            let takes: Vec<(Take, usize)> = std::iter::once(first).chain(more).collect();
-            if !self.give(node, takes) {
+        while let Ok(first) = self.waiting.recv() {
+            let more = self.waiting.try_iter().take(AT_ONCE - 1);
+            let waiting: Vec<Waiting> = std::iter::once(first).chain(more).collect();
+            if !self.give(node, waiting) {
                 return;
             }
         }
     }
 
     /// Whether the node is still there.
-    fn give(&self, node: &NodeHandle, takes: Vec<(Take, usize)>) -> bool {
-        let (mut fences, mut things, mut bytes) = (Vec::new(), Vec::new(), 0);
-        for (take, length) in takes {
-            bytes += length;
-            match take {
-                Take::Fence(fence) => {
-                    fences.push(fence);
-                    continue;
+    fn give(&self, node: &NodeHandle, waiting: Vec<Waiting>) -> bool {
+        let (mut takes, mut fences, mut bytes) = (Vec::new(), Vec::new(), 0);
+        for one in waiting {
+            match one {
+                Waiting::Take(take, counted) => {
+                    self.noted.note(take.item());
+                    takes.push(take);
+                    bytes += counted;
                 }
-                Take::Package(ref package) => self.noted.note(Item::of(package)),
-                Take::Contents(ref contents) => self.noted.note(item_of(contents)),
+                // Whoever waits may as well wait for what came behind.
+                Waiting::Fence(fence) => fences.push(fence),
             }
-            things.push(take);
         }
         let given = node.with_robot(move |robot, now| {
-            let mut refused = 0;
-            for thing in things {
-                match thing {
-                    Take::Package(package) => {
-                        refused += u64::from(robot.receive_package(now, package).is_err());
-                    }
-                    Take::Contents(Contents { stream, snapshot_id, intervals }) => {
-                        // What it says counts when the chunks are merged.
-                        robot.restore_contents(now, stream, snapshot_id, &intervals);
-                    }
-                    Take::Fence(_) => {}
-                }
-            }
-            refused
+            let refused = takes.into_iter().filter_map(|take| take.give(robot, now).err());
+            refused.count() as u64
         });
         self.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
         let Some(refused) = given else { return false };
@@ -192,10 +186,30 @@ impl Outlet {
                 None => return false,
             }
         }
-        for fence in fences {
+        for Fence(done) in fences {
             // Who waits may be gone.
-            let _ = fence.send(());
+            let _ = done.send(());
         }
         true
+    }
+}
+
+impl Take {
+    fn item(&self) -> Item {
+        match self {
+            Self::Package(package) => Item::of(package),
+            Self::Contents(contents) => item_of(contents),
+        }
+    }
+
+    fn give(self, robot: &mut Robot, now: Stamp) -> Result<(), RestoreError> {
+        match self {
+            Self::Package(package) => robot.receive_package(now, package),
+            Self::Contents(Contents { stream, snapshot_id, intervals }) => {
+                // What it says counts when the chunks are merged.
+                robot.restore_contents(now, stream, snapshot_id, &intervals);
+                Ok(())
+            }
+        }
     }
 }
