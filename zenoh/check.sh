@@ -2,7 +2,8 @@
 # Everything that must hold of flockmap-zenoh, from a fresh clone: format, lints, tests, and swarms in network namespaces, with
 # the router and the client of Zenoh's Python wheel as strangers.
 #
-# usage: zenoh/check.sh [fmt | clippy | test | fleet [NAME...]]    (default: all; NAME: flight, kills, access, garbage, liar, joined)
+# usage: zenoh/check.sh [fmt | clippy | test | fleet [NAME...]]    (default: all; NAME: flight, kills, access, garbage, liar, joined, swarms,
+#   disk; and size, by ROBOTS, PACKAGES, STATIONS and CONFIG, which takes long)
 # environment: FLOCKMAP, the program (default: built here); CARGO_TARGET_DIR (default: zenoh/target); JOBS=2;
 #   OUT, where logs and reports of `fleet` are left (default: a new folder, removed if all is well);
 #   VENV, where the Python tools are or are to be put (default: in CARGO_TARGET_DIR)
@@ -27,7 +28,7 @@ fleet() {
         cargo build --release --locked -j "$JOBS" -p flockmap-cli --manifest-path "$root/Cargo.toml"
         FLOCKMAP=$CARGO_TARGET_DIR/release/flockmap
     fi
-    cargo build --release --locked -j "$JOBS"
+    cargo build --release --locked -j "$JOBS" --bins --example many
     local venv=${VENV:-$CARGO_TARGET_DIR/venv} out=${OUT:-}
     if ! cmp -s tests/requirements.txt "$venv/installed.txt"; then
         python3 -m venv "$venv"
@@ -54,5 +55,5 @@ case "${1:-all}" in
     test) step tests ;;
     fmt | clippy) step "$1" ;;
     fleet) step "$@" ;;
-    *) sed -n '2,10p' "$0" >&2; exit 2 ;;
+    *) sed -n '2,11p' "$0" >&2; exit 2 ;;
 esac

@@ -173,6 +173,11 @@ impl Members {
         }
     }
 
+    /// Whether the node of a swarm has ended by itself.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.running.values().any(|member| member.node.node.has_ended())
+    }
+
     fn is_wanted(&self, swarm: u16) -> bool {
         self.common.swarms.is_empty() || self.common.swarms.contains(&swarm)
     }

@@ -242,7 +242,8 @@ fn members(
     let began = Instant::now();
     program.wait(|| {
         members.take_up(&found_in, Instant::now());
-        end_after.is_some_and(|after| began.elapsed() >= after)
+        // Whoever watches the program starts it again: that is better than a swarm that silently is not served.
+        members.has_ended() || end_after.is_some_and(|after| began.elapsed() >= after)
     });
     drop(tokens);
     let (summaries, faults) = members.end();

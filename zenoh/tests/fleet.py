@@ -450,9 +450,108 @@ def joined(world, records):
 METRICS = ("--metrics", "127.0.0.1:9464")
 
 
+def fly_gateways(world, records, swarms):
+    """Robots without a radio, each a gateway of its swarm with a sensor."""
+    robots = [f"robot{number + 1}" for number in range(len(records))]
+    for name, record, swarm in zip(robots, records, swarms):
+        number = world.place(name, radio=True, fleet=True)
+        world.node_config(name, number, [], swarm=swarm, sensor=f'record = "{record}"\nspeed = {SPEED}')
+        path = world.out / f"{name}.toml"
+        path.write_text(path.read_text().replace("[output]", f'[output]\nsave_map_at_end = "{name}.bt"'))
+        start_gateway(world, name)
+    return robots
+
+
+def swarms(world, records):
+    """A station that finds two swarms and mutes a robot: a map for planners, a file and a page of each."""
+    for name in ("router", "station"):
+        world.place(name, fleet=True)
+    world.router()
+    time.sleep(1)
+    robots = fly_gateways(world, records, (7, 7, 8))
+    (world.out / "muted.toml").write_text(f"[fusion]\nmuted = [{world.numbers['robot2']}]\n")
+    start_station(world, "station", "--config", world.out / "muted.toml", "--map", world.out / "map{swarm}.sock",
+                  "--save", world.out / "map{swarm}.bt", "--view", "127.0.0.1:7781")
+    time.sleep(SECONDS / SPEED + 8)
+    for swarm in (7, 8):
+        subprocess.run([world.flockmap, "mirror", f"unix:{world.out}/map{swarm}.sock", "--once", "--out",
+                        world.out / f"mirror{swarm}.bt"], check=True, stdout=subprocess.DEVNULL, timeout=60)
+    pages = [world.get("station", f"http://127.0.0.1:{port}/") for port in (7781, 7782)]
+    check("each swarm has a page", all("<html" in page for page in pages))
+    for name in (*robots, "station"):
+        check(f"{name} ends well", world.stop(name) == 0)
+    said = world.fleet_report("station")
+    of = {name: layers(next(iter(world.fleet_report(name).values()))) for name in robots}
+    check("the station has the layers of swarm 7", layers(said["7"]) == of["robot1"] | of["robot2"])
+    check("the station has the layer of swarm 8", layers(said["8"]) == of["robot3"])
+    for swarm, robot in ((7, "robot1"), (8, "robot3")):
+        files = [world.out / f"{name}.bt" for name in (f"map{swarm}", f"mirror{swarm}", robot)]
+        check(f"swarm {swarm}: a planner reads what the file has", files[0].read_bytes() == files[1].read_bytes())
+        ours, _, theirs = (facts(world, file) for file in files)
+        # What a robot does not know any more it has told before.
+        check(f"swarm {swarm}: that is the map of {robot}, {ours['occupied']} occupied and {ours['free']} free voxels",
+              ours["bounds_m"] == theirs["bounds_m"]
+              and all(0 <= ours[state] - theirs[state] <= theirs[state] // 50 for state in ("occupied", "free")))
+
+
+def facts(world, file):
+    """What a map file has, as the program tells it."""
+    out = file.with_suffix(".json")
+    subprocess.run([world.flockmap, "info", file, "--json", out], check=True, stdout=subprocess.DEVNULL)
+    return json.loads(out.read_text())["content"]
+
+
+def disk(world, records):
+    """An archive whose disk is full, has room again, and loses its power."""
+    for name in ("router", "archive", "stranger"):
+        world.place(name, fleet=True)
+    store = world.out / "archive-store"
+    store.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=100k", "none", store], check=True)
+    try:
+        world.router()
+        time.sleep(1)
+        robots = fly_gateways(world, records, (7, 7, 7))
+        start_archive(world, "archive")
+        time.sleep(SECONDS / SPEED + 3)
+        enter(world, "stranger")
+        with client(world, "router") as session:
+            wait_for("all that the robots have, in the archive", lambda: all_held(session, "archive", robots), 60)
+            all_of_it = held(session)["archive"]
+            packages = sorted(str(r.ok.key_expr) for r in session.get("flockmap/7/4/**", timeout=30.0) if r.ok)
+            print(f"      a full disk: {len(packages)} packages are told all the same")
+            print("      " + world.said("archive", "store"))
+            subprocess.run(["mount", "-o", "remount,size=64m", store], check=True)
+            wait_for("what lacks on disk", lambda: on_disk(store) > 200_000, 120)
+            time.sleep(3)
+            for name in (*robots, "archive"):
+                world.stop(name, signal.SIGKILL)
+            start_archive(world, "archive")
+            wait_for("the archive once more", lambda: held(session).get("archive") is not None, 60)
+            check("after its disk had room again and a SIGKILL the archive has all from its disk",
+                  held(session)["archive"] == all_of_it)
+        check("the archive ends well", world.stop("archive") == 0)
+    finally:
+        for name in world.programs:
+            world.stop(name, signal.SIGKILL)
+        subprocess.run(["umount", store], check=False)
+
+
+def on_disk(folder):
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+
+
+def all_held(session, name, by):
+    """Whether a holder has what these have together."""
+    said = held(session)
+    union = {stream: have for one in by for stream, have in said.get(one, {}).items()}
+    return len(union) == len(by) and said.get(name) == union
+
+
 def size(world, records):
-    """An archive of many packages, by ROBOTS and PACKAGES of each: rate in and out, memory, a late joiner, a restart."""
-    for name in ("router", "archive", "maker", "station", "stranger"):
+    """An archive of many packages, by ROBOTS, PACKAGES of each, STATIONS at once and CONFIG: rates, memory, a restart."""
+    stations = [f"station{number + 1}" for number in range(int(os.environ.get("STATIONS", 0)))]
+    for name in ("router", "archive", "maker", "station", "stranger", *stations):
         world.place(name, fleet=True)
     robots, packages = int(os.environ.get("ROBOTS", 10)), int(os.environ.get("PACKAGES", 1_000))
     world.router()
@@ -464,7 +563,7 @@ def size(world, records):
         first = session.declare_queryable("flockmap/7/4/@holder/first/**",
                                           lambda query: query.reply("flockmap/7/4/@holder/first/held", said))
         token = session.liveliness().declare_token("flockmap/7/4/@holder/first")
-        more = os.environ.get("ARCHIVE", "").split()
+        more = ["--config", os.environ["CONFIG"]] if "CONFIG" in os.environ else []
         start_archive(world, "archive", "--swarm", 7, *METRICS, *more)
         wait_for("the archive", lambda: "archive" in held(session), 30)
         token.undeclare()
@@ -489,23 +588,12 @@ def size(world, records):
         took = time.monotonic() - began
         print(f"      in: {(world.out / 'maker.out').read_text().strip()}; {wanted / took:.0f} a second, made here too")
         resident, most = memory(world, "archive")
-        disk = sum(file.stat().st_size for file in (world.out / "archive-store").rglob("*") if file.is_file())
-        print(f"      archive: memory {resident >> 10} MiB, at most {most >> 10}; {disk >> 20} MiB on disk")
+        print(f"      archive: memory {resident >> 10} MiB, at most {most >> 10}; "
+              f"{on_disk(world.out / 'archive-store') >> 20} MiB on disk")
         for what in ("late", "once more"):
-            before, began = received(world, "station"), time.monotonic()
-            start_station(world, "station", "--swarm", 7, *METRICS)
-            time.sleep(1)
-            wait_for("a late one", lambda: maybe(lambda: world.counter("station", "session_accepted"), 0) >= 0 and
-                     still(lambda: maybe(lambda: world.counter("station", "zenoh_fetched"), 0), 3), 600)
-            took = time.monotonic() - began - 3
-            resident, most = memory(world, "station")
-            payload = world.counter("station", "zenoh_fetched_bytes")
-            tcp = received(world, "station") - before
-            check("the station ends well", world.stop("station") == 0)
-            streams = world.fleet_report("station")["7"]["streams"]
-            there = sum(high - low + 1 for s in streams for low, high in s["received"])
-            check(f"{what}: a station has {there} of {wanted} packages' worth in {took:.0f} s, {payload} B of payload, "
-                  f"{tcp} B came by TCP; memory at most {most >> 10} MiB", there == wanted)
+            come_late(world, what, ["station"], wanted, more)
+        if stations:
+            come_late(world, f"{len(stations)} at once", stations, wanted, more)
         check("the archive ends well", world.stop("archive", timeout=300) == 0)
         began = time.monotonic()
         start_archive(world, "archive", "--swarm", 7, *METRICS, *more)
@@ -513,6 +601,29 @@ def size(world, records):
             int(part.split("-")[1]) - int(part.split("-")[0]) + 1
             for text in held(session).get("archive", {}).values() for part in text.split(",")) >= wanted, 3_000)
         print(f"      restart: {time.monotonic() - began:.1f} s; memory {memory(world, 'archive')[0] >> 10} MiB")
+
+
+def come_late(world, what, stations, wanted, more):
+    """Stations that come all at once get all there is."""
+    before, began = {name: received(world, name) for name in stations}, time.monotonic()
+    for name in stations:
+        start_station(world, name, "--swarm", 7, *METRICS, *more)
+    time.sleep(1)
+
+    def fetched():
+        return [maybe(lambda: world.counter(name, "zenoh_fetched"), -1) for name in stations]
+
+    wait_for("late ones", lambda: min(fetched()) >= 0 and still(fetched, 3), 3_000)
+    took = time.monotonic() - began - 3
+    most = max(memory(world, name)[1] for name in stations) >> 10
+    payload = sum(world.counter(name, "zenoh_fetched_bytes") for name in stations)
+    tcp = sum(received(world, name) - before[name] for name in stations)
+    for name in stations:
+        check(f"{name} ends well", world.stop(name) == 0)
+    of_all = [world.fleet_report(name)["7"]["streams"] for name in stations]
+    there = min(sum(high - low + 1 for s in streams for low, high in s["received"]) for streams in of_all)
+    check(f"{what}: a station has {there} of {wanted} packages' worth in {took:.0f} s, {payload} B of payload, "
+          f"{tcp} B came by TCP; memory at most {most} MiB", there == wanted)
 
 
 def maybe(value, otherwise):
@@ -530,7 +641,7 @@ def main():
     if not all(record.exists() for record in records):
         subprocess.run([flockmap, "sim", "fly", "--scene", "forest", "--robots", "3", "--seconds", str(SECONDS),
                         "--out", str(out / "records")], check=True, stdout=subprocess.DEVNULL)
-    checks = (flight, kills, access, garbage, liar, joined)
+    checks = (flight, kills, access, garbage, liar, joined, swarms, disk)
     tests = {test.__name__: test for test in (*checks, size)}
     for name in names or [check.__name__ for check in checks]:
         print(f"== {name}: {tests[name].__doc__}", flush=True)

@@ -134,12 +134,21 @@ report_json = "{name}.json"
 
     def counter(self, name, counter, place=None, port=9464):
         """A counter of a program that serves them on the loopback of its namespace."""
-        read = f"import urllib.request; print(urllib.request.urlopen('http://127.0.0.1:{port}/metrics').read().decode())"
-        text = subprocess.run(
-            ["ip", "netns", "exec", f"{self.prefix}-{place or name}", sys.executable, "-c", read],
-            check=True, capture_output=True, text=True, timeout=10).stdout
+        text = self.get(place or name, f"http://127.0.0.1:{port}/metrics")
         lines = [line for line in text.splitlines() if line.startswith(f"flockmap_{counter}_total{{")]
         return int(float(lines[0].rsplit(" ", 1)[1]))
+
+    def get(self, place, address):
+        """What is served there, as the namespace sees it."""
+        read = f"import urllib.request; print(urllib.request.urlopen('{address}').read().decode())"
+        return subprocess.run(
+            ["ip", "netns", "exec", f"{self.prefix}-{place}", sys.executable, "-c", read],
+            check=True, capture_output=True, text=True, timeout=10).stdout
+
+    def said(self, name, word):
+        """The last line of the log of a program that has this word."""
+        lines = (self.out / f"{name}.log").read_text().splitlines()
+        return next((line for line in reversed(lines) if word in line), "")
 
     def stop(self, name, how=signal.SIGTERM, timeout=60):
         program = self.programs[name]

@@ -1,5 +1,6 @@
 //! Whether layers may take more.
 
+use super::sources::Sources;
 use super::view::VIEW_BLOCK_BYTES;
 use super::{Fusion, FusionError};
 use crate::layer::SENSOR_BYTES;
@@ -9,8 +10,8 @@ use crate::{Changes, Mapper, Stream};
 /// and they are counted.
 const REACHED_BLOCKS: usize = 4;
 
-/// To which nothing was applied by so many changes of blocks, that is packed where room is wanting; where the cap is
-/// small, by one for each 256 bytes of it.
+/// To which nothing was applied by so many changes of blocks of all layers, that is packed where room is wanting; where the
+/// cap is small, by one for each 256 bytes of it.
 const COLD: u64 = 32_768;
 /// Most blocks that are packed for one change, some 15 µs each; where there is no room then, something is dropped.
 const PACKED_AT_ONCE: usize = 512;
@@ -53,8 +54,12 @@ impl Fusion {
             (self.memory_bytes_of_others(mapper), self.config.layer_bytes_max)
         };
         let cold = COLD.min(max as u64 / 256);
+        let pack = |sources: &mut Sources, blocks_max| match is_own {
+            true => sources.make_room_of_own(cold, blocks_max),
+            false => sources.make_room_of_others(cold, blocks_max),
+        };
         if held > max / 8 * 7 {
-            self.sources.make_room(is_own, cold, PACKED_AHEAD);
+            pack(&mut self.sources, PACKED_AHEAD);
         }
         let mut packed = 0;
         loop {
@@ -64,7 +69,7 @@ impl Fusion {
             if !is_full || packed >= PACKED_AT_ONCE {
                 return result;
             }
-            match self.sources.make_room(is_own, cold, PACKED_AT_A_TIME) {
+            match pack(&mut self.sources, PACKED_AT_A_TIME) {
                 0 => return result,
                 more => packed += more,
             }

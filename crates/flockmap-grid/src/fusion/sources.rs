@@ -1,6 +1,6 @@
 //! The layers of all streams, with those that are leaving.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::received::Received;
@@ -22,6 +22,8 @@ pub(super) struct Source {
     pub unnoted: Vec<BlockIndex>,
     /// No two sources have the same, also of a stream that comes back.
     number: u64,
+    /// [`Sources::changed`] when it was changed last.
+    changed_at: u64,
 }
 
 /// Of all streams.
@@ -37,6 +39,10 @@ pub(super) struct Sources {
     /// Cubes of layers, for who reads them.
     unpacked: Arc<Unpacked<PackedCube>>,
     numbers: u64,
+    /// How often blocks of layers of others were changed.
+    changed: u64,
+    /// Layers of others of which something is not packed, by when they were changed last.
+    open: BTreeSet<(u64, Stream)>,
 }
 
 struct Leaving {
@@ -69,6 +75,8 @@ impl Sources {
             bytes: 0,
             unpacked: Arc::default(),
             numbers: 0,
+            changed: 0,
+            open: BTreeSet::new(),
         }
     }
 
@@ -135,26 +143,40 @@ impl Sources {
             self.numbers += 1;
             Source { layer: Layer::new(&self.unpacked), number: self.numbers, ..Source::default() }
         });
-        let before = source.memory_bytes();
+        let (before, changed) = (source.memory_bytes(), source.layer.changed());
         let result = change(source);
         if stream != self.own {
             self.bytes = self.bytes + source.memory_bytes() - before;
+            self.changed += source.layer.changed() - changed;
+            self.open.remove(&(source.changed_at, stream));
+            source.changed_at = self.changed;
+            self.open.insert((self.changed, stream));
         }
         result
     }
 
-    /// Packs what others said, or what was published: [`Layer::make_room`]. Returns how many blocks it has packed.
-    pub(super) fn make_room(&mut self, is_own: bool, cold: u64, blocks_max: usize) -> usize {
+    /// Packs what was published: [`Layer::make_room`]. Returns how many blocks it has packed.
+    pub(super) fn make_room_of_own(&mut self, cold: u64, blocks_max: usize) -> usize {
+        self.sources.get_mut(&self.own).map_or(0, |source| source.layer.make_room(cold, blocks_max))
+    }
+
+    /// The same of what others said: all of the layers that were not changed while others were changed `cold` times, and
+    /// of the others what was not while the layers together were, if all are changed as often.
+    pub(super) fn make_room_of_others(&mut self, cold: u64, blocks_max: usize) -> usize {
         let mut packed = 0;
-        for (stream, source) in &mut self.sources {
-            if packed < blocks_max && (*stream == self.own) == is_own {
-                let before = source.memory_bytes();
-                packed += source.layer.make_room(cold, blocks_max - packed);
-                if !is_own {
-                    self.bytes = self.bytes + source.memory_bytes() - before;
-                }
+        let cold_of_one = cold / self.open.len().max(1) as u64;
+        let mut all_packed = Vec::new();
+        for &(changed_at, stream) in &self.open {
+            let Some(source) = self.sources.get_mut(&stream).filter(|_| packed < blocks_max) else { break };
+            let before = source.memory_bytes();
+            let cold = if changed_at + cold <= self.changed { 0 } else { cold_of_one };
+            packed += source.layer.make_room(cold, blocks_max - packed);
+            self.bytes = self.bytes + source.memory_bytes() - before;
+            if source.layer.is_packed() {
+                all_packed.push((changed_at, stream));
             }
         }
+        all_packed.iter().for_each(|at| drop(self.open.remove(at)));
         packed
     }
 
@@ -171,6 +193,7 @@ impl Sources {
         if let Some(source) = self.sources.remove(&stream)
             && stream != self.own
         {
+            self.open.remove(&(source.changed_at, stream));
             self.leaving.push(Leaving { stream, source, is_left_out: false });
         }
     }

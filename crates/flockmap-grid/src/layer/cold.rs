@@ -80,6 +80,16 @@ impl Layer {
         self.pack_cold(cold, blocks_max)
     }
 
+    /// How often blocks were changed.
+    pub(crate) const fn changed(&self) -> u64 {
+        self.changed
+    }
+
+    /// Whether nothing is open.
+    pub(crate) fn is_packed(&self) -> bool {
+        self.queue.is_empty()
+    }
+
     /// Packs an open cube. Returns the number of its blocks.
     fn pack_cube(&mut self, at: BlockIndex) -> usize {
         let Some(place) = self.cubes.get_mut(&at) else { return 0 };

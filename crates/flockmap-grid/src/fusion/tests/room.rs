@@ -179,6 +179,39 @@ fn where_room_is_wanting_some_of_what_lies_cold_is_packed_at_a_time_and_the_own_
 }
 
 #[test]
+fn what_rests_in_many_small_layers_is_packed_before_anything_is_dropped() {
+    let mapper = mapper();
+    let batch = |stream: u16, number: u16| {
+        let at =
+            |n: i32| Voxel::new(8 * (n % 32), 8 * (n / 32) + 512 * i32::from(stream), 8 * i32::from(number));
+        Changes::from_voxels((0..250).map(|n| (at(n), State::Free)))
+    };
+    let one_after_the_other: Vec<_> =
+        (2..42).flat_map(|of| (0..12).map(move |number| (of, number))).collect();
+    let mut in_turn = one_after_the_other.clone();
+    in_turn.sort_by_key(|(_, number)| *number);
+    for order in [one_after_the_other, in_turn] {
+        let config =
+            FusionConfig { layer_bytes_max: 32 << 20, mutes_others: true, ..FusionConfig::default() };
+        let mut fusion = Fusion::new(OWN, resolution(), config);
+        for (of, number) in order {
+            let stamp = Stamp(number.into());
+            assert_eq!(fusion.apply(&mapper, stream(of), &batch(of, number), stamp, stamp), Ok(250));
+            assert!(fusion.memory_bytes_of_others(&mapper) <= 32 << 20);
+        }
+        assert!(fusion.take_dropped().is_empty());
+        assert!(fusion.layers().all(|(_, layer)| layer.len() == 3_000));
+        let packed: usize = fusion.layers().map(|(_, layer)| layer.packed_count()).sum();
+        assert!((10_000..115_000).contains(&packed), "{packed}");
+        // One that goes has no place among those that are packed.
+        fusion.forget(stream(2));
+        finish(&mut fusion, &mapper);
+        fusion.apply(&mapper, stream(2), &batch(2, 0), Stamp(1), Stamp(1)).unwrap();
+        assert_eq!(fusion.layer(stream(2)).map(Layer::len), Some(250));
+    }
+}
+
+#[test]
 fn what_is_said_of_submaps_is_refused_last_and_an_older_pose_does_not_come_in_its_place() {
     let mapper = mapper();
     let config = FusionConfig { layer_bytes_max: 100_000, ..FusionConfig::default() };
