@@ -238,6 +238,7 @@ impl NodeStatus {
         }
         metric("gauge", "uptime_seconds", one(self.uptime.as_secs_f64()));
         metric("gauge", "store_disk_bytes", one(self.store.disk_bytes as f64));
+        metric("gauge", "store_off", one(f64::from(u8::from(self.store.is_off))));
         metric("gauge", "map_readers", one(self.map_readers as f64));
         metric("gauge", "peers", one(self.peers.len() as f64));
         let (free, occupied) = self.map_voxels;
@@ -307,7 +308,7 @@ impl StatusLine {
         self.before = Some((status.uptime, node.bytes_in, node.bytes_out));
         let (received, missing) = status.packages();
         let (free, occupied) = status.map_voxels;
-        let store = if status.store.failures > 0 { " | STORE OFF" } else { "" };
+        let store = if status.store.is_off { " | STORE OFF" } else { "" };
         let record = if node.record_stopped > 0 { " | RECORD OFF" } else { "" };
         let given_up = match status.given_up() {
             GivenUp { runs_forgotten: 0, streams_refused: 0, .. } => String::new(),

@@ -88,7 +88,10 @@ impl StoreWriter {
         writer.report();
         let thread = std::thread::Builder::new().name("store".into()).spawn(move || writer.run(&jobs_in));
         if let Err(error) = &thread {
-            shared.counters().failures += u64::from(has_store);
+            let mut counters = shared.counters();
+            counters.failures += u64::from(has_store);
+            counters.is_off = has_store;
+            drop(counters);
             shared.log.error(format!("store: cannot start a thread: {error}. The robot flies on in memory"));
         }
         Self { jobs, thread: thread.ok(), shared, has_store, begun: None, asked: Some(asked) }
@@ -238,15 +241,13 @@ impl Writer {
             });
             match jobs.recv_timeout(wait) {
                 Ok(Job::End) | Err(RecvTimeoutError::Disconnected) => break,
-                Ok(job) => {
-                    self.work(job);
-                    self.consider_compaction();
-                }
+                Ok(job) => self.work(job),
                 Err(RecvTimeoutError::Timeout) => {}
             }
             // While jobs keep coming, the time-out does not.
             let now = self.now();
             self.with_store(|store| store.handle_timeout(now));
+            self.consider_compaction();
         }
         if let Some(compaction) = self.compaction.take() {
             let _ = compaction.join();

@@ -38,8 +38,11 @@ pub struct StoreCounters {
     pub left_out: u64,
     /// Times that what was written was made safe.
     pub syncs: u64,
-    /// 1 if writing has failed: nothing is stored from then on in this run.
+    /// Times that writing has failed: nothing is stored until it goes on.
     pub failures: u64,
+    /// Whether nothing is stored now.
+    #[cfg_attr(feature = "serde", serde(skip))]
+    pub is_off: bool,
     /// Times that the log was replaced by snapshots.
     pub compactions: u64,
     /// Times that this failed; the log went on.

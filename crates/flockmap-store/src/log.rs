@@ -21,6 +21,16 @@ pub(crate) struct Log {
     is_synced: bool,
 }
 
+/// What there is of a log that has failed, for one that goes on behind it.
+#[derive(Debug)]
+pub(crate) struct Failed {
+    disk: Arc<dyn Disk>,
+    shares: Shares,
+    segments: BTreeMap<(u32, u64), u64>,
+    /// Of the last segment that there may be.
+    header: SegmentHeader,
+}
+
 /// Why the log cannot go on.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum LogError {
@@ -88,6 +98,59 @@ fn begin_segment(
     Ok(file)
 }
 
+impl Failed {
+    /// Of a run that could not begin its first segment.
+    pub(crate) fn at_start(
+        disk: Arc<dyn Disk>,
+        identity: Identity,
+        epoch: u64,
+        shares: Shares,
+        segments: BTreeMap<(u32, u64), u64>,
+    ) -> Self {
+        let number = last_number(&segments).saturating_add(1);
+        let header = SegmentHeader { identity, epoch, number, is_compacted: false };
+        Self { disk, shares, segments, header }
+    }
+
+    /// Bytes of all segments.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.segments.values().sum()
+    }
+
+    /// Another run has begun.
+    pub(crate) fn note_epoch(&mut self, epoch: u64) {
+        self.header.epoch = self.header.epoch.max(epoch);
+    }
+
+    /// A compacted segment is complete under its name, and no log was there to take note of it.
+    pub(crate) fn note_compacted(&mut self, compacted: &SegmentHeader, bytes: u64) {
+        self.segments.insert((compacted.number, compacted.epoch), bytes);
+    }
+
+    /// Goes on in a new segment, and leaves a number free before it: as [`Log::roll`], but what failed is not counted on.
+    pub(crate) fn go_on(mut self, snapshot: u64) -> Result<(Log, SegmentHeader), (Self, LogError)> {
+        let number = self.header.number.saturating_add(1);
+        let compacted = SegmentHeader { number, is_compacted: true, ..self.header };
+        self.header.number = number.saturating_add(1);
+        match begin_segment(&*self.disk, &self.header, &mut self.segments) {
+            Ok(file) => {
+                let Self { disk, shares, segments, header } = self;
+                let (limit, buffer, is_synced) = (Some(shares.all - snapshot), Vec::new(), true);
+                Ok((Log { disk, shares, limit, segments, header, file, buffer, is_synced }, compacted))
+            }
+            Err(error) => {
+                // What is left of it is seen at the next start.
+                let _ = self.disk.remove(&self.header.name());
+                Err((self, error))
+            }
+        }
+    }
+}
+
+fn last_number(segments: &BTreeMap<(u32, u64), u64>) -> u32 {
+    segments.keys().next_back().map_or(0, |(number, _)| *number)
+}
+
 impl Log {
     /// Begins the first segment of a run.
     pub(crate) fn begin(
@@ -101,11 +164,19 @@ impl Log {
         if segments.values().sum::<u64>() + HEADERS_BYTES as u64 > shares.all {
             return Err(LogError::Full(shares.all));
         }
-        let number = segments.keys().next_back().map_or(0, |(number, _)| *number).saturating_add(1);
+        let number = last_number(&segments).saturating_add(1);
         let header = SegmentHeader { identity, epoch, number, is_compacted: false };
         let file = begin_segment(&*disk, &header, &mut segments)?;
         let (limit, buffer, is_synced) = (None, Vec::new(), true);
         Ok(Self { disk, shares, limit, segments, header, file, buffer, is_synced })
+    }
+
+    /// It has failed.
+    pub(crate) fn fail(self) -> Failed {
+        let Self { disk, shares, segments, mut header, .. } = self;
+        // One that it was about to begin, behind a compacted one, may be there.
+        header.number = header.number.saturating_add(2);
+        Failed { disk, shares, segments, header }
     }
 
     /// Bytes of all segments.

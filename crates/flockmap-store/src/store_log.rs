@@ -8,7 +8,7 @@ use std::time::Duration;
 use flockmap::{Event, Package, Stamp};
 
 use crate::compaction::{Compacted, Compaction};
-use crate::log::{Log, LogError, Shares};
+use crate::log::{Failed, Log, LogError, Shares};
 use crate::record::{CONTENT_MAX, Contents, Record, write_package};
 use crate::{Disk, Identity, Restored, StoreCounters};
 
@@ -35,6 +35,8 @@ impl Default for StoreOptions {
 pub const BYTES_MAX_MIN: u64 = 64 << 10;
 /// Longer periods than this count as this.
 const SYNC_PERIOD_MAX: Duration = Duration::from_secs(3_600);
+/// After a failure it is tried to go on after so long, and twice as long each time, up to 64 times.
+const GO_ON_AFTER: Duration = Duration::from_secs(10);
 /// When there are more segments than this, and since the last time so many more, they are made one.
 const SEGMENTS_MAX: usize = 64;
 
@@ -42,7 +44,7 @@ const SEGMENTS_MAX: usize = 64;
 #[derive(Clone, PartialEq, Eq, Debug)]
 #[non_exhaustive]
 pub enum Notice {
-    /// Nothing is stored from now on in this run.
+    /// Nothing is stored from now on, until it is said that it goes on.
     Off(String),
     /// Something is wrong, and the store goes on.
     Warning(String),
@@ -51,7 +53,7 @@ pub enum Notice {
 impl Notice {
     pub(crate) fn off(why: &str) -> Self {
         Self::Off(format!(
-            "store: {why}. The robot flies on in memory; nothing more is stored until it is started again"
+            "store: {why}. The robot flies on in memory; nothing more is stored until that is mended"
         ))
     }
 }
@@ -71,6 +73,14 @@ pub struct StoreLog {
     sync_period: Duration,
     /// `None` after a failure.
     log: Option<Log>,
+    /// What there is then, unless there never was anything; when it is tried to go on, and how often it was.
+    failed: Option<Failed>,
+    go_on_at: Option<Stamp>,
+    go_on_tries: u32,
+    /// The time for that has come.
+    is_go_on_due: bool,
+    /// The compaction that runs closes the hole that a failure has left.
+    is_going_on: bool,
     /// When what was written has to be made safe.
     sync_due: Option<Stamp>,
     is_compacting: bool,
@@ -102,6 +112,11 @@ impl StoreLog {
             shares,
             sync_period: options.sync_period.min(SYNC_PERIOD_MAX),
             log: None,
+            failed: None,
+            go_on_at: None,
+            go_on_tries: 0,
+            is_go_on_due: false,
+            is_going_on: false,
             sync_due: None,
             is_compacting: false,
             keeps_all: false,
@@ -111,10 +126,14 @@ impl StoreLog {
             notices: notices.into(),
         };
         match &store.disk {
-            None => store.counters.failures = 1,
-            Some(disk) => match Log::begin(Arc::clone(disk), identity, epoch, shares, segments) {
+            None => (store.counters.failures, store.counters.is_off) = (1, true),
+            Some(disk) => match Log::begin(Arc::clone(disk), identity, epoch, shares, segments.clone()) {
                 Ok(log) => store.log = Some(log),
-                Err(error) => store.fail(&error),
+                Err(error) => {
+                    store.failed =
+                        Some(Failed::at_start(Arc::clone(disk), identity, epoch, shares, segments));
+                    store.fail(&error);
+                }
             },
         }
         store
@@ -175,17 +194,28 @@ impl StoreLog {
         if self.attempt(|log| log.begin_epoch(epoch)).is_some() {
             self.sync_due = None;
         }
+        if let Some(failed) = &mut self.failed {
+            failed.note_epoch(epoch);
+        }
     }
 
     /// When [`Self::handle_timeout`] has something to do.
-    pub const fn poll_timeout(&self) -> Option<Stamp> {
-        self.sync_due
+    pub fn poll_timeout(&self) -> Option<Stamp> {
+        let is_to_go_on = self.failed.is_some() && !self.is_go_on_due && !self.keeps_all;
+        let go_on_at = is_to_go_on.then(|| self.go_on_at.unwrap_or(Stamp(i64::MIN)));
+        self.sync_due.into_iter().chain(go_on_at).min()
     }
 
-    /// Makes safe what was written, if that is due.
+    /// Makes safe what was written, if that is due. After a failure: [`Self::begin_compaction`] tries to go on when its
+    /// time has come.
     pub fn handle_timeout(&mut self, now: Stamp) {
         if self.sync_due.is_some_and(|due| due <= now) {
             self.sync();
+        }
+        if self.failed.is_some() {
+            let pause = GO_ON_AFTER * (1 << self.go_on_tries.min(6));
+            let at = *self.go_on_at.get_or_insert_with(|| now.plus(pause));
+            self.is_go_on_due = at <= now;
         }
     }
 
@@ -196,9 +226,13 @@ impl StoreLog {
     }
 
     /// The compaction that is due, if one is; to be asked after each package, at the start, and after
-    /// [`Self::end_compaction`]. It must be brought to its end ([`Compaction::finish`] or
-    /// [`Compaction::abandon`]), on any thread, while this goes on storing.
+    /// [`Self::end_compaction`] and [`Self::handle_timeout`]. It must be brought to its end ([`Compaction::finish`] or
+    /// [`Compaction::abandon`]), on any thread, while this goes on storing. After a failure it has all that the robot has,
+    /// so that the log goes on behind it.
     pub fn begin_compaction(&mut self) -> Option<Compaction> {
+        if self.is_go_on_due && !self.is_compacting && !self.keeps_all {
+            return self.go_on();
+        }
         let (log, disk) = (self.log.as_ref()?, self.disk.clone()?);
         let is_due = log.bytes() > self.shares.due().max(self.retry_at)
             || log.segments() > self.segments_then + SEGMENTS_MAX;
@@ -213,10 +247,45 @@ impl StoreLog {
         Some(Compaction::begin(disk, header, room))
     }
 
+    fn go_on(&mut self) -> Option<Compaction> {
+        let (failed, disk) = (self.failed.take()?, self.disk.clone()?);
+        self.go_on_at = None;
+        self.is_go_on_due = false;
+        self.go_on_tries += 1;
+        let room = self.shares.snapshot(failed.bytes());
+        if room < self.shares.pause() {
+            self.failed = Some(failed);
+            return None;
+        }
+        match failed.go_on(room) {
+            Ok((log, header)) => {
+                self.log = Some(log);
+                (self.is_compacting, self.is_going_on) = (true, true);
+                Some(Compaction::begin(disk, header, room))
+            }
+            Err((failed, _)) => {
+                self.failed = Some(failed);
+                None
+            }
+        }
+    }
+
     /// Takes the end of a compaction: if it is complete, the log before it goes.
     pub fn end_compaction(&mut self, compacted: Compacted) {
         let Compacted { header, result, is_gone } = compacted;
         self.is_compacting = false;
+        let was_going_on = std::mem::take(&mut self.is_going_on);
+        if let (Some(failed), Ok(bytes)) = (&mut self.failed, &result) {
+            failed.note_compacted(&header, *bytes);
+        }
+        if was_going_on && result.is_err() {
+            // Without it there is a hole in the log.
+            self.failed = self.log.take().map(Log::fail).or(self.failed.take());
+            self.sync_due = None;
+            self.counters.compactions_failed += 1;
+            self.keeps_all |= !is_gone;
+            return;
+        }
         // What of it is left still takes its room.
         self.keeps_all |= !is_gone;
         if let Some(log) = self.log.as_mut().filter(|_| is_gone) {
@@ -227,6 +296,11 @@ impl StoreLog {
                 self.retry_at = 0;
                 if self.attempt(|log| log.replace(&header, bytes)).is_some() {
                     self.counters.compactions += 1;
+                    if was_going_on {
+                        (self.counters.is_off, self.go_on_tries) = (false, 0);
+                        let text = "store: the disk works again: all that the robot has is on it";
+                        self.notices.push_back(Notice::Warning(text.into()));
+                    }
                 }
             }
             Err(why) => {
@@ -264,13 +338,15 @@ impl StoreLog {
         }
     }
 
-    /// Said once: nothing is written after it.
+    /// Said once: nothing is written after it until it goes on.
     fn fail(&mut self, error: &LogError) {
         self.counters = self.counters();
-        self.log = None;
+        self.failed = self.log.take().map(Log::fail).or(self.failed.take());
         self.sync_due = None;
-        self.counters.failures += 1;
-        self.notices.push_back(Notice::off(&error.to_string()));
+        if !std::mem::replace(&mut self.counters.is_off, true) {
+            self.counters.failures += 1;
+            self.notices.push_back(Notice::off(&error.to_string()));
+        }
     }
 }
 

@@ -4,10 +4,11 @@
 mod common;
 
 use common::swarm::{PERFECT, Random, Swarm, config};
-use common::{Model, OPTIONS, Writer, contents, fly, identity, open, small_scan, start, two};
+use common::{Model, OPTIONS, Writer, contents, fly, identity, open, restart, small_scan, start, two};
 use flockmap::{Codec, Event, Package, Pose, Robot, RobotConfig, RobotId, Stamp, Stream};
 use flockmap_store::memory::{Faults, MemoryDisk, PowerCut};
 use flockmap_store::{Notice, Store};
+use std::time::Duration;
 
 /// So many runs leave so many segments that the next one makes them one.
 const RUNS_BEFORE: u64 = 66;
@@ -178,4 +179,72 @@ fn a_disk_that_dies_at_any_call_costs_nothing_that_was_safe() {
     }
     println!("the disk has died at each of {call} calls");
     assert!(call > 100);
+}
+
+/// After a former run that left `files`, the disk is full for a while; then one call more fails. Returns whether there
+/// was such a call.
+fn goes_on(files: &MemoryDisk, is_full_at_start: bool, call: Option<u64>) -> bool {
+    let disk = MemoryDisk::of(files.files());
+    let mut swarm = Swarm::new(two(Codec::Paper), PERFECT, 23);
+    let mut random = Random(23);
+    let full = || disk.set_faults(Faults { room: Some(300), ..Faults::default() });
+    if is_full_at_start {
+        full();
+    }
+    let mut writer = start(&disk, OPTIONS, 1_000);
+    fly(&mut swarm, &mut writer, 2, &mut random, small_scan);
+    full();
+    fly(&mut swarm, &mut writer, 4, &mut random, small_scan);
+    let counters = writer.counters();
+    assert!(counters.is_off && counters.failures == 1 && counters.left_out > 0, "{counters:?}");
+    // Still full: nothing new is said.
+    writer.pass(Duration::from_secs(15));
+    writer.step(&swarm.robots[0]);
+    writer.step(&swarm.robots[0]);
+    writer.pass(Duration::from_secs(15));
+    assert_eq!((writer.notices.len(), writer.counters().is_off), (1, true), "{:?}", writer.notices);
+    let first = disk.calls() + call.unwrap_or_default();
+    let calls = call.map_or(0..0, |_| first..first + 1);
+    disk.set_faults(Faults { calls, ..Faults::default() });
+    // What comes meanwhile is there as well.
+    for part in 0..8 {
+        writer.pass(Duration::from_secs(700));
+        if part < 6 {
+            fly(&mut swarm, &mut writer, 1, &mut random, small_scan);
+        }
+        while writer.compaction.is_some() {
+            writer.step(&swarm.robots[0]);
+        }
+    }
+    let what = format!("{call:?}: {:?} {:?}", writer.notices, writer.counters());
+    assert!(!writer.counters().is_off, "{what}");
+    assert!(
+        matches!(writer.notices.last(), Some(Notice::Warning(text)) if text.contains("works again")),
+        "{what}"
+    );
+    drop(writer);
+    let is_hit = call.is_none() || disk.calls() > first;
+    disk.set_faults(Faults::default());
+    let (robot, restored) = restart(&disk, two(Codec::Paper).remove(0), 2_000);
+    assert_eq!((restored.damaged_segments, restored.skipped_bytes), (0, 0), "{what}");
+    let of = &swarm.robots[0];
+    for stream in of.session().streams() {
+        assert_eq!(robot.session().received(stream), of.session().received(stream), "{stream:?} {what}");
+    }
+    assert_eq!(Model::of_robot(&robot), Model::of_robot(of), "{what}");
+    is_hit
+}
+
+#[test]
+fn a_disk_that_has_room_again_has_all_that_came_meanwhile_whichever_call_fails_then() {
+    let files = MemoryDisk::default();
+    for is_full_at_start in [false, true] {
+        assert!(goes_on(&files, is_full_at_start, None));
+        let mut call = 0;
+        while goes_on(&files, is_full_at_start, Some(call)) {
+            call += 1;
+        }
+        println!("each of {call} calls has failed");
+        assert!(call > 20);
+    }
 }

@@ -176,7 +176,9 @@ impl Sources {
                 all_packed.push((changed_at, stream));
             }
         }
-        all_packed.iter().for_each(|at| drop(self.open.remove(at)));
+        for at in &all_packed {
+            self.open.remove(at);
+        }
         packed
     }
 

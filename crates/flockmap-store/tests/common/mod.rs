@@ -64,6 +64,16 @@ impl Writer {
         self.hear();
     }
 
+    /// Lets time pass.
+    pub fn pass(&mut self, time: Duration) {
+        self.now = self.now.plus(time);
+        self.log.handle_timeout(self.now);
+        if self.compaction.is_none() {
+            self.compaction = self.log.begin_compaction();
+        }
+        self.hear();
+    }
+
     pub fn finish_compaction(&mut self, robot: &Robot) {
         assert!(self.compaction.is_some(), "{:?}", self.counters());
         while self.compaction.is_some() {
