@@ -72,6 +72,17 @@ struct Own {
     robots: BTreeSet<RobotId>,
 }
 
+/// An answer that has come, and may still be merged.
+struct Answered {
+    stream: Stream,
+    /// What the holder has of the run, and how much of it was lacking here when it was asked.
+    theirs: IntervalSet,
+    lacked: u64,
+    began: Instant,
+    has_answered: bool,
+    merged: Receiver<()>,
+}
+
 impl CatchUp<'_> {
     /// Until the node has ended, or nobody can wake it any more.
     pub(crate) fn run(&self, wake: &Receiver<()>) {
@@ -206,7 +217,7 @@ impl CatchUp<'_> {
         claim: &Claim,
         lacking: &mut BTreeSet<Stream>,
     ) -> Result<bool, String> {
-        let (mut is_coming, mut in_vain) = (false, Duration::ZERO);
+        let (mut is_coming, mut in_vain, mut answered) = (false, Duration::ZERO, None);
         for run in claim.runs.iter() {
             let stream = run.stream();
             let Some(theirs) = parse_intervals(&run.held) else { continue };
@@ -227,30 +238,57 @@ impl CatchUp<'_> {
                 }
                 Ask::Now { .. } | Ask::Later => continue,
             };
-            let Some(outcome) = self.fetch(name, stream, (&theirs, &own), as_snapshot)? else { break };
-            let now = Instant::now();
-            if asked.note(name, stream, outcome, now) {
-                self.log.info(format!("{name} does not answer: others are asked, and it again later"));
+            // While it answers, what it has answered before is merged.
+            let replies = self.ask_for(name, stream, &own, as_snapshot)?;
+            if let Some(before) = answered.take()
+                && !self.note_answer(asked, name, before, &mut in_vain)
+            {
+                return Ok(is_coming);
             }
-            if outcome != Outcome::Brought {
-                in_vain += now.duration_since(began);
-            }
-            if outcome == Outcome::Silence || in_vain >= QUIET_MAX {
-                break;
-            }
+            let has_answered = wait_for(&replies, QUIET_MAX, || self.node.has_ended());
+            let merged = self.intake.merged();
+            let lacked = theirs.difference(&own).count();
+            answered = Some(Answered { stream, theirs, lacked, began, has_answered, merged });
+        }
+        if let Some(last) = answered {
+            self.note_answer(asked, name, last, &mut in_vain);
         }
         Ok(is_coming)
     }
 
-    /// Asks a holder for what is lacking of a run of which it holds `theirs` and this robot `own`, and waits until it
-    /// is merged. `None` if the node has ended.
-    fn fetch(
+    /// Waits until an answer is merged, and notes what it has brought. Whether the holder is to be asked for more.
+    fn note_answer(&self, asked: &mut Asked, name: &str, answered: Answered, in_vain: &mut Duration) -> bool {
+        let Answered { stream, theirs, lacked, began, has_answered, merged } = answered;
+        // An error means that the node has ended.
+        let _ = merged.recv();
+        let Some(after) = self.received(stream) else { return false };
+        // What came meanwhile without an answer was put, by whoever else.
+        let outcome = if !has_answered {
+            Outcome::Silence
+        } else if theirs.difference(&after).count() < lacked {
+            Outcome::Brought
+        } else {
+            Outcome::Nothing
+        };
+        let now = Instant::now();
+        if asked.note(name, stream, outcome, now) {
+            self.log.info(format!("{name} does not answer: others are asked, and it again later"));
+        }
+        if outcome != Outcome::Brought {
+            *in_vain += now.duration_since(began);
+        }
+        outcome != Outcome::Silence && *in_vain < QUIET_MAX
+    }
+
+    /// Asks a holder for what is lacking of a run of which this robot holds `own`. It is told of each reply, and
+    /// disconnected at the end.
+    fn ask_for(
         &self,
         name: &str,
         stream: Stream,
-        (theirs, own): (&IntervalSet, &IntervalSet),
+        own: &IntervalSet,
         as_snapshot: bool,
-    ) -> Result<Option<Outcome>, String> {
+    ) -> Result<Receiver<()>, String> {
         let form = if as_snapshot { ";as=snapshot" } else { "" };
         let held = intervals_text(own.intervals());
         let selector = format!("{}?held={held}{form}", self.keys.get(name, stream));
@@ -272,17 +310,7 @@ impl CatchUp<'_> {
         })
         .wait()
         .map_err(|error| error.to_string())?;
-        let has_answered = wait_for(&replies_in, QUIET_MAX, || self.node.has_ended());
-        self.intake.wait_merged();
-        let Some(after) = self.received(stream) else { return Ok(None) };
-        // What came meanwhile without an answer was put, by whoever else.
-        Ok(Some(if !has_answered {
-            Outcome::Silence
-        } else if theirs.difference(&after).count() < theirs.difference(own).count() {
-            Outcome::Brought
-        } else {
-            Outcome::Nothing
-        }))
+        Ok(replies_in)
     }
 
     /// What is held here of a run; `None` if the node has ended.

@@ -122,13 +122,12 @@ impl Intake {
         }
     }
 
-    /// Waits until the robot has merged what came before; not at all once the node has ended.
-    pub(crate) fn wait_merged(&self) {
+    /// Told when the robot has merged what came before; an error once the node has ended.
+    pub(crate) fn merged(&self) -> Receiver<()> {
         let (done, is_done) = sync_channel(1);
-        if self.waiting.send(Waiting::Fence(Fence(done))).is_ok() {
-            // An error means that the node has ended.
-            let _ = is_done.recv();
-        }
+        // Without an outlet the fence is dropped, which says so.
+        let _ = self.waiting.send(Waiting::Fence(Fence(done)));
+        is_done
     }
 
     /// Whether so much waits that no more should be asked for.

@@ -129,13 +129,17 @@ def flight(world, records, kills=False):
                  lambda: all_agree(session, ["gateway1", "gateway2", "archive1", "archive2"]), 120)
         # All is merged where it is held; what the robots still send each other is another matter.
         time.sleep(6)
+        before = received(world, "station2")
         start_station(world, "station2")
         time.sleep(1)
         began = time.monotonic()
         stranger = [len(r.ok.payload) for r in session.get("flockmap/7/4/**", timeout=30.0) if r.ok]
         print(f"      a stranger gets {len(stranger)} packages and chunks, {sum(stranger)} B, in "
               f"{time.monotonic() - began:.2f} s")
+        snapshots = sum(len(r.ok.payload) for origin, epoch in held(session)["archive1"] for r in session.get(
+            f"flockmap/7/4/@holder/archive1/get/{origin}-{epoch}?held=;as=snapshot", timeout=30.0) if r.ok)
     time.sleep(6)
+    tcp = received(world, "station2") - before
     for name in robots:
         check(f"{name} ends well", world.stop(name) == 0)
     for name in ("station1", "station2", "gateway1", "gateway2", "archive1", "archive2"):
@@ -149,8 +153,10 @@ def flight(world, records, kills=False):
         print("      " + ", ".join(f"{key[6:]} {value}" for key, value in said["counters"]["beside"].items() if value))
     late = world.fleet_report("station2")["7"]["counters"]["beside"]
     payload = late["zenoh_fetched_bytes"] + late["zenoh_taken_bytes"]
-    print(f"      the late one got {payload} B of payload")
-    return payload, sum(stranger)
+    packages = sum(world.report(name)["counters"]["robot"]["package_bytes"] for name in robots)
+    print(f"      what the robots have made: {packages} B of packages; as snapshots of their layers it is {snapshots} B")
+    check(f"the late one got {payload} B of payload, {tcp} B by TCP: at most 1.1 times the maps coded once",
+          snapshots > 0 and payload <= 1.1 * min(packages, snapshots))
 
 
 def kills(world, records):

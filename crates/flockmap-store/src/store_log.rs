@@ -280,7 +280,7 @@ impl StoreLog {
         }
         if was_going_on && result.is_err() {
             // Without it there is a hole in the log.
-            self.failed = self.log.take().map(Log::fail).or(self.failed.take());
+            self.failed = self.log.take().map(Log::fail).or_else(|| self.failed.take());
             self.sync_due = None;
             self.counters.compactions_failed += 1;
             self.keeps_all |= !is_gone;
@@ -341,7 +341,7 @@ impl StoreLog {
     /// Said once: nothing is written after it until it goes on.
     fn fail(&mut self, error: &LogError) {
         self.counters = self.counters();
-        self.failed = self.log.take().map(Log::fail).or(self.failed.take());
+        self.failed = self.log.take().map(Log::fail).or_else(|| self.failed.take());
         self.sync_due = None;
         if !std::mem::replace(&mut self.counters.is_off, true) {
             self.counters.failures += 1;
