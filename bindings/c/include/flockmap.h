@@ -403,7 +403,8 @@ typedef struct flockmap_transmit {
   size_t length;
   // The robot that it is for, unless to_everyone.
   uint16_t peer;
-  // 1: it goes to everyone: the broadcast or multicast address, or each address that is known.
+  // 1: it goes to everyone: the broadcast or multicast address, or each address that is known, beginning with
+  // another one each time, since a full queue takes the first only.
   uint8_t to_everyone;
   // 1: it goes to one address, that from which the datagrams of `path` were heard. If neither is 1, the robot's
   // datagrams were given without a path, and the caller knows where `peer` is.

@@ -22,7 +22,8 @@ pub struct Transmit {
     pub length: usize,
     /// The robot that it is for, unless to_everyone.
     pub peer: u16,
-    /// 1: it goes to everyone: the broadcast or multicast address, or each address that is known.
+    /// 1: it goes to everyone: the broadcast or multicast address, or each address that is known, beginning with
+    /// another one each time, since a full queue takes the first only.
     pub to_everyone: u8,
     /// 1: it goes to one address, that from which the datagrams of `path` were heard. If neither is 1, the robot's
     /// datagrams were given without a path, and the caller knows where `peer` is.

@@ -92,7 +92,7 @@ impl Store {
     /// A store without a disk, which gives nothing and takes nothing: the robot flies on in memory, `why` is
     /// said, and it counts as a failure.
     pub fn off(identity: Identity, options: StoreOptions, why: &str) -> Self {
-        let notices = vec![Notice::off(why)];
+        let notices = vec![Notice::off(why, false)];
         Self { notices, ..Self::empty(identity, options) }
     }
 
@@ -205,8 +205,8 @@ impl Store {
     }
 
     /// Begins the segment of this run, after [`Self::restore`]. When this returns, the epoch is safe on disk:
-    /// a later run will not use it. Where the disk refuses, that is reported and counted, and nothing is
-    /// stored in this run: the robot works from memory.
+    /// a later run will not use it. Where the disk refuses, that is reported and counted, and the robot works from
+    /// memory until the disk works again.
     ///
     /// # Errors
     /// [`StoreError::Epoch`] if the epoch is not higher than all before.

@@ -35,7 +35,7 @@ impl Default for StoreOptions {
 pub const BYTES_MAX_MIN: u64 = 64 << 10;
 /// Longer periods than this count as this.
 const SYNC_PERIOD_MAX: Duration = Duration::from_secs(3_600);
-/// After a failure it is tried to go on after so long, and twice as long each time, up to 64 times.
+/// After a failure it is tried to go on after so long, then twice as long each time, up to 64 times as long.
 const GO_ON_AFTER: Duration = Duration::from_secs(10);
 /// When there are more segments than this, and since the last time so many more, they are made one.
 const SEGMENTS_MAX: usize = 64;
@@ -51,10 +51,10 @@ pub enum Notice {
 }
 
 impl Notice {
-    pub(crate) fn off(why: &str) -> Self {
-        Self::Off(format!(
-            "store: {why}. The robot flies on in memory; nothing more is stored until that is mended"
-        ))
+    /// `is_retried`: it is tried to go on in this run.
+    pub(crate) fn off(why: &str, is_retried: bool) -> Self {
+        let until = if is_retried { "that is mended" } else { "it is started again" };
+        Self::Off(format!("store: {why}. The robot flies on in memory; nothing more is stored until {until}"))
     }
 }
 
@@ -73,13 +73,13 @@ pub struct StoreLog {
     sync_period: Duration,
     /// `None` after a failure.
     log: Option<Log>,
-    /// What there is then, unless there never was anything; when it is tried to go on, and how often it was.
+    /// What is on the disk then; `None` as well if the folder cannot be used at all.
     failed: Option<Failed>,
+    /// When it is tried to go on, how often that was tried since the failure, and whether the time has come.
     go_on_at: Option<Stamp>,
     go_on_tries: u32,
-    /// The time for that has come.
     is_go_on_due: bool,
-    /// The compaction that runs closes the hole that a failure has left.
+    /// The compaction that runs has what was not written since the failure.
     is_going_on: bool,
     /// When what was written has to be made safe.
     sync_due: Option<Stamp>,
@@ -280,8 +280,7 @@ impl StoreLog {
         }
         if was_going_on && result.is_err() {
             // Without it there is a hole in the log.
-            self.failed = self.log.take().map(Log::fail).or_else(|| self.failed.take());
-            self.sync_due = None;
+            self.end_log();
             self.counters.compactions_failed += 1;
             self.keeps_all |= !is_gone;
             return;
@@ -338,14 +337,21 @@ impl StoreLog {
         }
     }
 
+    /// Nothing is written any more; what there is stays for one that goes on behind it.
+    fn end_log(&mut self) {
+        self.counters = self.counters();
+        self.sync_due = None;
+        if let Some(log) = self.log.take() {
+            self.failed = Some(log.fail());
+        }
+    }
+
     /// Said once: nothing is written after it until it goes on.
     fn fail(&mut self, error: &LogError) {
-        self.counters = self.counters();
-        self.failed = self.log.take().map(Log::fail).or_else(|| self.failed.take());
-        self.sync_due = None;
+        self.end_log();
         if !std::mem::replace(&mut self.counters.is_off, true) {
             self.counters.failures += 1;
-            self.notices.push_back(Notice::off(&error.to_string()));
+            self.notices.push_back(Notice::off(&error.to_string(), !self.keeps_all));
         }
     }
 }

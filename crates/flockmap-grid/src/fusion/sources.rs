@@ -22,7 +22,7 @@ pub(super) struct Source {
     pub unnoted: Vec<BlockIndex>,
     /// No two sources have the same, also of a stream that comes back.
     number: u64,
-    /// [`Sources::changed`] when it was changed last.
+    /// `Sources::changed` when it was changed last.
     changed_at: u64,
 }
 
@@ -160,8 +160,9 @@ impl Sources {
         self.sources.get_mut(&self.own).map_or(0, |source| source.layer.make_room(cold, blocks_max))
     }
 
-    /// The same of what others said: all of the layers that were not changed while others were changed `cold` times, and
-    /// of the others what was not while the layers together were, if all are changed as often.
+    /// The same of the layers of others, the one that was changed longest ago first. A layer is packed whole if `cold`
+    /// blocks were changed in others since it was. Of each of the rest stays open what its share of the last `cold`
+    /// changes may have touched, were all changed as often. O(layers that are not packed whole).
     pub(super) fn make_room_of_others(&mut self, cold: u64, blocks_max: usize) -> usize {
         let mut packed = 0;
         let cold_of_one = cold / self.open.len().max(1) as u64;
