@@ -21,8 +21,9 @@ const VIEW: usize = 7 * GROWTH * 256 * INTERVAL + 512;
 const IN_FLIGHT: usize = 48 * GROWTH;
 /// Its interval among those that need not be sent.
 const RECEIVED_OR_IN_FLIGHT: usize = INTERVAL * GROWTH;
-/// The budget of the link to a peer that fell silent.
-const SILENT_LINK: usize = 2_048 + 256;
+/// Where a peer that fell silent was reached; and that with the budget of the link to it.
+const SILENT: usize = 2 * 128;
+const SILENT_LINK: usize = 2_048 + SILENT;
 /// With a key, what is known of the counters of every robot that was ever heard, 2¹⁶ of them; and the window
 /// of a peer.
 const HEARD: usize = (1 << 16) * 160;
@@ -57,7 +58,7 @@ impl SessionConfig {
             Cast::Broadcast => 2 * self.in_flight_max * (IN_FLIGHT + streams * RECEIVED_OR_IN_FLIGHT),
         };
         let peer = PEER + streams * VIEW + in_flight;
-        let silent_links = if self.link_bytes_per_s.is_some() { self.peers_max * SILENT_LINK } else { 0 };
+        let silent = self.peers_max * if self.link_bytes_per_s.is_some() { SILENT_LINK } else { SILENT };
         let replays = if self.swarm_key.is_some() { HEARD + self.peers_max * WINDOW } else { 0 };
         // Of every stream the plan for a peer takes up the best 256 packages, and a request its list of held
         // indices.
@@ -66,7 +67,7 @@ impl SessionConfig {
             // What is held, and what was held when a snapshot was asked for.
             + streams * (2 * received + STREAM)
             + self.peers_max * peer
-            + silent_links
+            + silent
             + replays
             + self.transfers_max * (received + 256)
             // Chunks are about as long as a datagram, and so are packages.

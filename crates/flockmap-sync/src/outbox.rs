@@ -5,7 +5,7 @@ use crate::broadcasts::Broadcasts;
 use crate::coded::BlockEncoder;
 use crate::item::Item;
 use crate::pacer::{Pacer, burst_bytes};
-use crate::path::PathsWaiting;
+use crate::path::{PathsWaiting, PeerPath};
 use crate::peer::{PEER_INTERVALS_MAX, Sending};
 use crate::rate::Rate;
 use crate::wire::Contents;
@@ -41,8 +41,16 @@ pub(crate) struct Outbox {
     /// Of the block that is being repaired; and how many repair symbols were made, of all blocks.
     pub(crate) encoder: Option<BlockEncoder>,
     pub(crate) symbols_made: u32,
-    /// Budgets of the links to peers that fell silent. At most `peers_max`, 2 KiB each.
-    pub(crate) silent_links: BTreeMap<RobotId, Pacer>,
+    /// What is kept of peers that fell silent. At most `peers_max`, 2 KiB each.
+    pub(crate) silent: BTreeMap<RobotId, SilentPeer>,
+}
+
+/// What is kept of a peer that fell silent: on a slow radio it is heard again before an answer of it is there.
+#[derive(Debug)]
+pub(crate) struct SilentPeer {
+    /// The budget of the link to it.
+    pub(crate) pacer: Option<Pacer>,
+    pub(crate) path: PeerPath,
 }
 
 /// A snapshot that can be sent, to several peers if they need it.
@@ -131,7 +139,7 @@ impl Outbox {
             broadcasts: Broadcasts::new(),
             encoder: None,
             symbols_made: 0,
-            silent_links: BTreeMap::new(),
+            silent: BTreeMap::new(),
         }
     }
 

@@ -25,6 +25,11 @@ impl PeerPath {
         self.valid.is_some() || self.tried.is_none()
     }
 
+    /// Whether it was heard on a path.
+    pub(crate) const fn is_heard(self) -> bool {
+        self.valid.is_some() || self.tried.is_some()
+    }
+
     pub(crate) const fn valid(self) -> Option<Path> {
         self.valid
     }

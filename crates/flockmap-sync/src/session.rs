@@ -28,7 +28,7 @@ use crate::event::{Destination, Event, PublishError, Transmit};
 use crate::identity::Identity;
 use crate::inbox::{Inbox, PENDING_MAX};
 use crate::lacks::Lacks;
-use crate::outbox::Outbox;
+use crate::outbox::{Outbox, SilentPeer};
 use crate::peer::Peer;
 use crate::report::{Load, PeerInfo, Report};
 use crate::schedule::Schedule;
@@ -341,13 +341,14 @@ impl Session {
         now
     }
 
-    /// Forgets a peer, but not what its link's budget has seen.
+    /// Forgets a peer, but not what its link's budget has seen and where it was reached.
     fn silence(&mut self, id: RobotId) {
-        let pacer = self.peers.remove(&id).and_then(|peer| peer.pacer);
-        if self.outbox.silent_links.len() >= self.config.peers_max {
-            self.outbox.silent_links.pop_first();
+        let peer = self.peers.remove(&id).map(|Peer { pacer, path, .. }| SilentPeer { pacer, path });
+        if self.outbox.silent.len() >= self.config.peers_max {
+            self.outbox.silent.pop_first();
         }
-        self.outbox.silent_links.extend(pacer.map(|pacer| (id, pacer)));
+        let is_kept = |peer: &SilentPeer| peer.pacer.is_some() || peer.path.is_heard();
+        self.outbox.silent.extend(peer.filter(is_kept).map(|peer| (id, peer)));
         self.count_relays(None);
     }
 

@@ -2,7 +2,7 @@
 
 use flockmap_codec::{Batch, Codec, Encoder, Package};
 use flockmap_grid::{Changes, Resolution, RobotId, Stamp, State, Stream, Voxel};
-use flockmap_sync::wire::{Datagram, Kind};
+use flockmap_sync::wire::{Datagram, Kind, PathMessage};
 use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};
 
 fn session(id: u16, config: &SessionConfig) -> Session {
@@ -105,6 +105,8 @@ fn whoever_copies_a_robots_datagrams_draws_nothing_but_challenges() {
         pair.now = pair.now.plus_micros(100_000);
         while let Some(transmit) = pair.two.poll_transmit(pair.now) {
             pair.one.handle_datagram_from(pair.now, ELSEWHERE, &transmit.bytes).unwrap();
+            // What goes out between the two is lost.
+            pair.sent.extend(sent(&mut pair.one, pair.now));
             let _ = pair.one.handle_datagram_from(pair.now, TWO, &transmit.bytes);
         }
         pair.run(0.5, [ONE, TWO]);
@@ -126,6 +128,68 @@ fn a_robot_that_moved_to_another_address_is_followed() {
     pair.run(5.0, [ONE, ELSEWHERE]);
     assert!(pair.is_in_sync());
     assert!(pair.one.paths().all(|(_, path)| path == ELSEWHERE));
+}
+
+/// What a datagram says of paths.
+fn message(transmit: &Transmit) -> Option<PathMessage> {
+    PathMessage::parse(&Datagram::new_checked(&transmit.bytes).unwrap()).ok()
+}
+
+/// What a session sends now.
+fn sent(session: &mut Session, now: Stamp) -> Vec<Transmit> {
+    std::iter::from_fn(|| session.poll_transmit(now)).collect()
+}
+
+#[test]
+fn an_answer_counts_that_takes_longer_than_it_takes_to_forget_a_peer() {
+    let slow = SessionConfig { peer_timeout_ms: 1_000, ..SessionConfig::default() };
+    let (mut one, mut two) = (session(1, &slow), session(2, &slow));
+    let mut now = Stamp(0);
+    let is_answer = |sent: &Transmit| message(sent).is_some_and(|message| message.answer.is_some());
+    let mut answers = Vec::new();
+    for _ in 0..3 {
+        // Each time robot 2 was forgotten before.
+        now = now.plus_micros(3_000_000);
+        two.handle_timeout(now);
+        let hello = sent(&mut two, now).remove(0);
+        one.handle_datagram_from(now, TWO, &hello.bytes).unwrap();
+        for asked in sent(&mut one, now).iter().filter(|sent| sent.path == Some(TWO)) {
+            two.handle_datagram_from(now, ONE, &asked.bytes).unwrap();
+        }
+        answers.extend(sent(&mut two, now).into_iter().filter(is_answer));
+        one.handle_timeout(now.plus_micros(2_000_000));
+        assert_eq!(one.peers().count(), 0);
+    }
+    // The answer to the first challenge, while the third is on its way.
+    one.handle_datagram_from(now.plus_micros(2_500_000), TWO, &answers[0].bytes).unwrap();
+    assert_eq!(one.counters().paths_validated, 1);
+    assert_eq!(one.paths().collect::<Vec<_>>(), [(RobotId(2), TWO)]);
+    // It is not tried again when it is heard from there later.
+    now = now.plus_micros(9_000_000);
+    one.handle_timeout(now);
+    assert_eq!(one.peers().count(), 0);
+    two.handle_timeout(now);
+    one.handle_datagram_from(now, TWO, &sent(&mut two, now).remove(0).bytes).unwrap();
+    assert!(sent(&mut one, now).iter().filter_map(message).all(|message| message.challenge.is_none()));
+}
+
+#[test]
+fn of_the_challenges_to_a_peer_that_wait_only_the_latest_goes_out() {
+    let (mut one, mut two) = (session(1, &SessionConfig::default()), session(2, &SessionConfig::default()));
+    let mut heard = 0;
+    for step in 1..=300 {
+        let now = Stamp(step * 100_000);
+        two.handle_timeout(now);
+        for datagram in sent(&mut two, now) {
+            one.handle_datagram_from(now, Path(heard), &datagram.bytes).unwrap();
+            heard += 1;
+        }
+    }
+    assert!(heard > 2, "{heard}");
+    let now = Stamp(30_000_000);
+    let asked: Vec<Transmit> =
+        sent(&mut one, now).into_iter().filter(|sent| kind(sent) == Kind::Path).collect();
+    assert_eq!(asked.iter().map(|sent| sent.path).collect::<Vec<_>>(), [Some(Path(heard - 1))]);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use super::Session;
 use crate::Cast;
 use crate::event::Event;
+use crate::outbox::SilentPeer;
 use crate::path::Path;
 use crate::peer::{PEER_INTERVALS_MAX, Peer};
 use crate::rate::Heard;
@@ -185,12 +186,13 @@ impl Session {
         }
         if known != Some(stream.epoch) {
             let mut peer = Peer::new(stream, now, &self.config);
-            // A budget is the link's: it does not begin anew with a new run.
-            let before = self.peers.remove(&id);
-            // Where its former run was reached is tried again only if it is heard from elsewhere.
-            peer.path = before.as_ref().map(|before| before.path).unwrap_or_default();
-            let before = before.and_then(|before| before.pacer);
-            peer.pacer = before.or_else(|| self.outbox.silent_links.remove(&id)).or(peer.pacer);
+            let before = self.peers.remove(&id).map(|Peer { pacer, path, .. }| SilentPeer { pacer, path });
+            if let Some(before) = before.or_else(|| self.outbox.silent.remove(&id)) {
+                // A budget is the link's: it does not begin anew with a new run.
+                peer.pacer = before.pacer.or(peer.pacer);
+                // Where it was reached before is tried again only if it is heard from elsewhere.
+                peer.path = before.path;
+            }
             for (at, item) in self.outbox.broadcasts.recent() {
                 peer.cover(item, at, self.config.in_flight_max);
             }

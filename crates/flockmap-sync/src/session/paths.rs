@@ -41,7 +41,7 @@ impl Session {
         if peer.path.valid == Some(path) {
             // It is where it was.
             peer.path.tried = None;
-            return;
+            return self.drop_challenge(id);
         }
         let number = match peer.path.tried {
             Some((.., at)) if now.since(at) < challenge_pause() => return,
@@ -65,15 +65,28 @@ impl Session {
             peer.path = PeerPath { valid: Some(tried), tried: None };
             peer.queue_stale = true;
             self.report.counters.paths_validated += 1;
+            self.drop_challenge(id);
             self.greet(now);
         }
     }
 
-    /// What waits already, because the budget is exhausted, is not said again.
+    /// A challenge to a peer that still waits would ask for what is known.
+    fn drop_challenge(&mut self, id: RobotId) {
+        self.outbox.path_waiting.retain(|(to, _, message)| *to != id || message.challenge.is_none());
+    }
+
+    /// Where the budget is exhausted, one challenge to a peer waits and one answer on each path: the latest takes the
+    /// place of the one before, which asks or answers for nothing any more.
     fn say_on_path(&mut self, id: RobotId, path: Path, message: PathMessage) {
-        let what = (id, path, message);
-        if self.outbox.path_waiting.len() < WAITING_MAX && !self.outbox.path_waiting.contains(&what) {
-            self.outbox.path_waiting.push_back(what);
+        let is_challenge = message.challenge.is_some();
+        let takes_place_of = |(to, on, before): &&mut (RobotId, Path, PathMessage)| {
+            *to == id && before.challenge.is_some() == is_challenge && (is_challenge || *on == path)
+        };
+        let waiting = &mut self.outbox.path_waiting;
+        if let Some(before) = waiting.iter_mut().find(takes_place_of) {
+            *before = (id, path, message);
+        } else if waiting.len() < WAITING_MAX {
+            waiting.push_back((id, path, message));
         }
     }
 
