@@ -99,6 +99,12 @@ impl Answers<'_> {
         }
         if let Some(rest) = key.as_str().strip_prefix(&holder).and_then(|rest| rest.strip_prefix('/')) {
             let stream = parse_get(rest).ok_or("expected held, or get/ROBOT-RUN, behind the name")?;
+            if !question.takes_any_key() {
+                return Err(
+                    "replies have the keys of packages, expected a query that accepts replies with any key"
+                        .into(),
+                );
+            }
             return self.say_stream(question, stream, &wish);
         }
         self.say_streams(question, &wish)

@@ -137,7 +137,8 @@ def flight(world, records, kills=False):
         print(f"      a stranger gets {len(stranger)} packages and chunks, {sum(stranger)} B, in "
               f"{time.monotonic() - began:.2f} s")
         snapshots = sum(len(r.ok.payload) for origin, epoch in held(session)["archive1"] for r in session.get(
-            f"flockmap/7/4/@holder/archive1/get/{origin}-{epoch}?held=;as=snapshot", timeout=30.0) if r.ok)
+            f"flockmap/7/4/@holder/archive1/get/{origin}-{epoch}?as=snapshot", timeout=30.0,
+            accept_replies=zenoh.ReplyKeyExpr.ANY) if r.ok)
     time.sleep(6)
     tcp = received(world, "station2") - before
     for name in robots:

@@ -336,6 +336,8 @@ fn what_is_no_question_is_refused_and_the_next_one_is_answered() {
         assert!(holder.answers().answer(&asker).is_err(), "{key} {parameters:?}");
         assert!(asker.replies.borrow().is_empty());
     }
+    let keys_of_packages = Asker { takes_any_key: false, ..Asker::new(&get(1), &[]) };
+    assert!(holder.answers().answer(&keys_of_packages).unwrap_err().contains("any key"));
     let (askers, askers_in) = std::sync::mpsc::channel();
     for held in ["x", ""] {
         askers.send(Asker::new(&get(1), &[("held", held)])).unwrap();
