@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::FusionConfig;
 use super::align::Alignment;
+use super::config::FusionConfig;
 use crate::{Pose, Resolution, RobotId, Sheet, Stream, SubmapId};
 
 /// By which rules layers become a map.
