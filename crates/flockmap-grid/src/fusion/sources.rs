@@ -147,7 +147,9 @@ impl Sources {
         let result = change(source);
         if stream != self.own {
             self.bytes = self.bytes + source.memory_bytes() - before;
-            self.changed += source.layer.changed() - changed;
+            // A layer that has taken the place of another one counts from the beginning.
+            let now = source.layer.changed();
+            self.changed += now.checked_sub(changed).unwrap_or(now);
             self.open.remove(&(source.changed_at, stream));
             source.changed_at = self.changed;
             self.open.insert((self.changed, stream));
