@@ -407,6 +407,11 @@ mod tests {
         let store =
             format!("{:?}", s.store).replace("merged", "restored_merged").replace("packages", "restored");
         check(store, named(&s.store));
+        // These of the store are gauges.
+        let text = s.prometheus();
+        for gauge in ["store_disk_bytes", "store_off"] {
+            assert!(text.contains(&format!("# TYPE flockmap_{gauge} gauge")), "{gauge} is left out");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::coded::BlockEncoder;
 use crate::item::Item;
 use crate::pacer::{Pacer, burst_bytes};
 use crate::path::{PathsWaiting, PeerPath};
-use crate::peer::{PEER_INTERVALS_MAX, Sending};
+use crate::peer::{PEER_INTERVALS_MAX, Peer, Sending};
 use crate::rate::Rate;
 use crate::wire::Contents;
 use crate::{SessionConfig, Store};
@@ -51,6 +51,12 @@ pub(crate) struct SilentPeer {
     /// The budget of the link to it.
     pub(crate) pacer: Option<Pacer>,
     pub(crate) path: PeerPath,
+}
+
+impl SilentPeer {
+    pub(crate) fn of(peer: Peer) -> Self {
+        Self { pacer: peer.pacer, path: peer.path }
+    }
 }
 
 /// A snapshot that can be sent, to several peers if they need it.

@@ -343,7 +343,7 @@ impl Session {
 
     /// Forgets a peer, but not what its link's budget has seen and where it was reached.
     fn silence(&mut self, id: RobotId) {
-        let peer = self.peers.remove(&id).map(|Peer { pacer, path, .. }| SilentPeer { pacer, path });
+        let peer = self.peers.remove(&id).map(SilentPeer::of);
         if self.outbox.silent.len() >= self.config.peers_max {
             self.outbox.silent.pop_first();
         }

@@ -186,7 +186,7 @@ impl Session {
         }
         if known != Some(stream.epoch) {
             let mut peer = Peer::new(stream, now, &self.config);
-            let before = self.peers.remove(&id).map(|Peer { pacer, path, .. }| SilentPeer { pacer, path });
+            let before = self.peers.remove(&id).map(SilentPeer::of);
             if let Some(before) = before.or_else(|| self.outbox.silent.remove(&id)) {
                 // A budget is the link's: it does not begin anew with a new run.
                 peer.pacer = before.pacer.or(peer.pacer);

@@ -70,13 +70,13 @@ impl Session {
         }
     }
 
-    /// A challenge to a peer that still waits would ask for what is known.
+    /// The address of a peer is known: a challenge to it that still waits is not sent.
     fn drop_challenge(&mut self, id: RobotId) {
         self.outbox.path_waiting.retain(|(to, _, message)| *to != id || message.challenge.is_none());
     }
 
-    /// Where the budget is exhausted, one challenge to a peer waits and one answer on each path: the latest takes the
-    /// place of the one before, which asks or answers for nothing any more.
+    /// While the budget is exhausted, one challenge waits for each peer and one answer for each of its paths. A newer one
+    /// replaces it.
     fn say_on_path(&mut self, id: RobotId, path: Path, message: PathMessage) {
         let is_challenge = message.challenge.is_some();
         let takes_place_of = |(to, on, before): &&mut (RobotId, Path, PathMessage)| {
