@@ -2,7 +2,7 @@
 
 mod stream;
 
-pub(crate) use stream::{PEER_INTERVALS_MAX, PeerRequest, PeerStream, Sending, SentPackage, brings_rest};
+pub(crate) use stream::{PEER_INTERVALS_MAX, PeerStream, Sending, SentPackage, brings_rest};
 
 use crate::config::ms;
 use crate::counters::Traffic;

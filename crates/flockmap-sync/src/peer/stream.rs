@@ -2,7 +2,7 @@
 
 use crate::IntervalSet;
 use crate::item::Item;
-use crate::wire::RestRequest;
+use crate::wire::{RestRequest, SnapshotRequest};
 use core::time::Duration;
 use flockmap_grid::Stamp;
 
@@ -64,7 +64,8 @@ pub(crate) struct PeerStream {
     /// What was missing at some earlier request, and when that was.
     pub(crate) missing_then: (Stamp, IntervalSet),
     pub(crate) sending: Option<Sending>,
-    pub(crate) snapshot_request: Option<PeerRequest>,
+    /// The last one that it made, withdrawn or not.
+    snapshot_request: Option<PeerRequest>,
     /// Something of the stream is lacking there; and whether the peer can decode hardly anything that is not
     /// independent.
     pub(crate) in_part: Option<bool>,
@@ -84,6 +85,8 @@ pub(crate) struct PeerRequest {
     pub(crate) undecodable: IntervalSet,
     /// How long it has said so.
     pub(crate) stated_since: Stamp,
+    /// It was not named any more: there may have been no room for it.
+    is_withdrawn: bool,
 }
 
 impl PeerStream {
@@ -106,9 +109,33 @@ impl PeerStream {
     /// Nothing of it is under way as a snapshot, or asked of this robot, or missing for so long that a relay answers.
     pub(crate) fn asks_for_nothing(&self) -> bool {
         self.sending.is_none()
-            && self.snapshot_request.is_none()
+            && self.snapshot_request().is_none()
             && self.rest_wanted.is_none()
             && self.overdue.is_empty()
+    }
+
+    /// The snapshot that the peer wants.
+    pub(crate) fn snapshot_request(&self) -> Option<&PeerRequest> {
+        self.snapshot_request.as_ref().filter(|request| !request.is_withdrawn)
+    }
+
+    /// The peer wants a snapshot. Where a thin radio has room for one such request at a time they are named in turn: one
+    /// that comes again for the same packages is as old as it was.
+    pub(crate) fn note_snapshot_request(&mut self, now: Stamp, wanted: &SnapshotRequest) {
+        let is_same = |before: &&PeerRequest| {
+            !before.is_withdrawn || !before.undecodable.intersection(&wanted.undecodable).is_empty()
+        };
+        let before = self.snapshot_request.as_ref().filter(is_same);
+        self.snapshot_request = Some(PeerRequest {
+            since: wanted.since,
+            undecodable: wanted.undecodable.clone(),
+            stated_since: before.map_or(now, |before| before.stated_since),
+            is_withdrawn: false,
+        });
+    }
+
+    pub(crate) fn withdraw_snapshot_request(&mut self) {
+        self.snapshot_request.iter_mut().for_each(|request| request.is_withdrawn = true);
     }
 
     /// The peer has confirmed this package. A stream that is too fragmented to note it learns it from the
@@ -178,4 +205,29 @@ impl Sending {
 /// Whether a snapshot, since a package up to one, that says the newest up to a third, brings more of the rest of a stream.
 pub(crate) const fn brings_rest([since, upto, newest_of]: [u32; 3], wanted: &RestRequest) -> bool {
     since <= wanted.since && upto > wanted.since && newest_of >= wanted.upto
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flockmap_grid::{RobotId, Stream};
+
+    fn wanted(index: u32) -> SnapshotRequest {
+        let undecodable = IntervalSet::from_intervals(0, vec![(index, index)]);
+        SnapshotRequest { stream: Stream { origin: RobotId(1), epoch: 1 }, since: 1, from: 1, undecodable }
+    }
+
+    /// Once it was as new as the request that named it, and who waits for others to answer first never answered.
+    #[test]
+    fn a_snapshot_request_that_is_named_in_turn_with_others_is_as_old_as_when_it_was_first_named() {
+        let mut theirs = PeerStream::new(1, Stamp(0));
+        for now in [10, 30, 50] {
+            theirs.note_snapshot_request(Stamp(now), &wanted(9));
+            assert_eq!(theirs.snapshot_request().map(|request| request.stated_since), Some(Stamp(10)));
+            theirs.withdraw_snapshot_request();
+            assert!(theirs.snapshot_request().is_none() && theirs.asks_for_nothing());
+        }
+        theirs.note_snapshot_request(Stamp(70), &wanted(11));
+        assert_eq!(theirs.snapshot_request().map(|request| request.stated_since), Some(Stamp(70)));
+    }
 }

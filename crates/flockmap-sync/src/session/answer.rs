@@ -8,7 +8,7 @@ use crate::crowd::SMALL_SWARM;
 use crate::item::Item;
 use crate::link::TIMEOUT_MAX;
 use crate::outbox::Outbox;
-use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerRequest, PeerStream, Sending, SentPackage};
+use crate::peer::{PEER_INTERVALS_MAX, Peer, PeerStream, Sending, SentPackage};
 use crate::rate::{Arrival, Rate};
 use crate::timers::Timer;
 use crate::wire::{DatagramHeader, Request, TransferProgress};
@@ -222,14 +222,11 @@ impl Session {
         let Some(peer) = self.peers.get_mut(&id) else { return };
         for (&stream, theirs) in &mut peer.streams {
             let wanted = request.snapshot_requests.iter().find(|wanted| wanted.stream == stream);
-            let since = theirs.snapshot_request.as_ref().map_or(now, |wanted| wanted.stated_since);
-            // A request that found no room this time stands on until its origin is covered.
-            if wanted.is_some() || request.covers(stream.origin) {
-                theirs.snapshot_request = wanted.map(|wanted| PeerRequest {
-                    since: wanted.since,
-                    undecodable: wanted.undecodable.clone(),
-                    stated_since: since,
-                });
+            match wanted {
+                Some(wanted) => theirs.note_snapshot_request(now, wanted),
+                None if request.covers(stream.origin) => theirs.withdraw_snapshot_request(),
+                // A request that found no room this time stands on until its origin is covered.
+                None => {}
             }
         }
         let is_ours = |progress: &&TransferProgress| progress.source == self.identity.own.origin;
@@ -496,7 +493,7 @@ fn send_what_has_a_place(
         let id = (progress.source, progress.stream, sending.snapshot_id);
         request.transfers.iter().any(|t| (t.source, t.stream, t.snapshot_id) == id)
     };
-    let since_max = theirs.snapshot_request.as_ref().map_or(u32::MAX, |wanted| wanted.since);
+    let since_max = theirs.snapshot_request().map_or(u32::MAX, |wanted| wanted.since);
     if !progress.is_complete()
         && theirs.sending.as_ref().is_some_and(|sending| !is_named(sending))
         && let Some(outgoing) = outbox.snapshot(progress.stream, progress.snapshot_id)

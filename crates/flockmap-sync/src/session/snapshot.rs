@@ -166,17 +166,14 @@ impl Session {
         let Some(theirs) = self.peers.get_mut(&id).and_then(|peer| peer.theirs(stream, now)) else {
             return false;
         };
-        let Some(sending) = &mut theirs.sending else { return false };
+        let Some(sending) = &theirs.sending else { return false };
         let of_set = self.outbox.snapshot(stream, sending.snapshot_id);
         let Some(contents) = of_set.and_then(|outgoing| outgoing.contents.as_ref()) else { return false };
-        let wanted = theirs.snapshot_request.as_ref().map(|wanted| wanted.undecodable.intersection(contents));
+        let wanted = theirs.snapshot_request().map(|wanted| wanted.undecodable.intersection(contents));
         let goes_on =
             !contents.difference(&theirs.received).is_empty() || wanted.is_some_and(|w| !w.is_empty());
-        if goes_on {
-            sending.note_silence(now, patience);
-        } else {
-            theirs.sending = None;
-        }
+        theirs.sending.take_if(|_| !goes_on);
+        theirs.sending.iter_mut().for_each(|sending| sending.note_silence(now, patience));
         goes_on
     }
 
@@ -204,8 +201,7 @@ impl Session {
         if relay_rank > 0 {
             lacks = lacks.intersection(&theirs.overdue);
         }
-        let request =
-            theirs.snapshot_request.as_ref().filter(|request| now.since(request.stated_since) >= delay);
+        let request = theirs.snapshot_request().filter(|request| now.since(request.stated_since) >= delay);
         let request = request.map(|request| request.undecodable.intersection(&beyond));
         if self.store.first_unstored(stream, &lacks).is_none()
             && request.is_none_or(|request| request.is_empty())
@@ -275,7 +271,7 @@ impl Session {
         let Some(peer) = self.peers.get_mut(&id) else { return };
         let Some(theirs) = peer.theirs(stream, now) else { return };
         // What of a request lies beyond what is held here is somebody else's to fulfil.
-        let request = theirs.snapshot_request.as_ref().and_then(|request| {
+        let request = theirs.snapshot_request().and_then(|request| {
             Some((request.since, request.undecodable.within(1, prefix).last()?, request.stated_since))
         });
         let wanted = request.map(|(_, upto, _)| upto);
