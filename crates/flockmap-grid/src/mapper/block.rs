@@ -1,8 +1,10 @@
 //! One block of the map, and what the counts of one scan do to it.
 
 use super::config::Rules;
-use super::rays::TouchedBlock;
+use super::tally::Tally;
 use crate::{BLOCK_VOXELS, Plane, Sheet, State, StateBlock, SubmapId, set_bits};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, i16x16, u16x16};
 
 /// Log-odds of a voxel that no ray has touched.
 pub(super) const UNOBSERVED: i16 = i16::MIN;
@@ -80,72 +82,69 @@ impl MapBlock {
         }
     }
 
-    /// Takes in the counts of one scan and sets them back to zero. Returns the voxels that were touched.
-    pub(super) fn update(&mut self, rules: &Rules, scan: u16, counts: &mut TouchedBlock<'_>) -> Plane {
+    /// Takes in the counts of one scan. Returns the voxels that were touched.
+    pub(super) fn update<T: Tally>(
+        &mut self,
+        rules: &Rules,
+        scan: u16,
+        misses: &T,
+        hits: Option<&T>,
+    ) -> Plane {
+        dispatch!(Level::new(), simd => self.update_by(simd, rules, scan, misses, hits))
+    }
+
+    #[inline(always)]
+    fn update_by<S: Simd, T: Tally>(
+        &mut self,
+        simd: S,
+        rules: &Rules,
+        scan: u16,
+        misses: &T,
+        hits: Option<&T>,
+    ) -> Plane {
+        let all = |value: i16| i16x16::splat(simd, value);
         let mut touched = [0u64; 8];
         let mut states_free = *self.states.free();
         let mut states_occupied = *self.states.occupied();
-        let (log_odds, _) = self.log_odds.as_chunks_mut::<8>();
-        let (seen, _) = self.seen.as_chunks_mut::<8>();
-        let (misses, _) = counts.misses.as_chunks_mut::<8>();
-        let mut no_hits = [0; BLOCK_VOXELS];
-        let (hits, _) = counts.hits.as_deref_mut().unwrap_or(&mut no_hits).as_chunks_mut::<8>();
-        let rows = log_odds.iter_mut().zip(seen).zip(misses.iter_mut().zip(hits));
-        for (row, ((log_odds, seen), (misses, hits))) in rows.enumerate() {
-            // Copies in locals, so that the compiler sees that nothing overlaps and uses vector instructions.
-            let (passed, ended, before) = (*misses, *hits, *log_odds);
-            let any_hit = ended != [0; 8];
-            if !any_hit && passed == [0; 8] {
+        let (log_odds, _) = self.log_odds.as_chunks_mut::<16>();
+        let (seen, _) = self.seen.as_chunks_mut::<16>();
+        for (n, (log_odds, seen)) in log_odds.iter_mut().zip(seen).enumerate() {
+            let passed = misses.sixteen(simd, n, rules.rays_max);
+            let ended = hits.map_or(all(0), |hits| hits.sixteen(simd, n, rules.hits_max));
+            let (is_passed, is_ended) = (passed.simd_gt(all(0)), ended.simd_gt(all(0)));
+            let is_touched = is_passed | is_ended;
+            let bits = is_touched.to_bitmask();
+            if bits == 0 {
                 continue;
             }
-            let counts: [u16; 8] = core::array::from_fn(|i| passed[i] | ended[i]);
-            let seen_before = *seen;
-            *seen = core::array::from_fn(|i| if counts[i] != 0 { scan } else { seen_before[i] });
-            let mut after: [i16; 8] = core::array::from_fn(|i| {
-                let rays = passed[i].min(rules.rays_max) as i16;
-                let value = if before[i] == UNOBSERVED { rules.start } else { before[i] };
-                // No overflow: the product is at most the width of the range of values and one miss.
-                let missed = value.wrapping_add(rays.wrapping_mul(rules.miss)).max(rules.min);
-                if rays != 0 { missed } else { before[i] }
-            });
-            if any_hit {
-                // Hits win: the misses of the same scan do not count.
-                for i in (0..8).filter(|i| ended[*i] != 0) {
-                    let value = if before[i] == UNOBSERVED { rules.start } else { before[i] };
-                    let rays = i32::from(ended[i].min(rules.rays_max));
-                    let sum = i32::from(value) + i32::from(rules.hit) * rays;
-                    after[i] = sum.min(i32::from(rules.max)) as i16;
-                }
-                *hits = [0; 8];
-            }
-            *misses = [0; 8];
-            *log_odds = after;
-            let occupied = bits(|i| after[i] >= rules.occupied_from);
-            let free = bits(|i| (after[i] < rules.free_below) & (after[i] != UNOBSERVED));
-            let row_touched = bits(|i| counts[i] != 0);
-            let (word, shift) = (row / 8, row % 8 * 8);
-            let keep = !(0xff << shift);
-            states_free[word] = states_free[word] & keep | free << shift;
+            let before = i16x16::from_slice(simd, log_odds);
+            let value = before.simd_eq(all(UNOBSERVED)).select(all(rules.start), before);
+            // No overflow: the product is at most the width of the range of values and one miss, or one hit.
+            let missed = (value + passed * all(rules.miss)).max(all(rules.min));
+            let hit = (value + ended * all(rules.hit)).min(all(rules.max));
+            // Hits win: the misses of the same scan do not count.
+            let after = is_ended.select(hit, is_passed.select(missed, before));
+            after.store_slice(log_odds);
+            let seen_before = u16x16::from_slice(simd, seen);
+            is_touched.select(u16x16::splat(simd, scan), seen_before).store_slice(seen);
+            let occupied = after.simd_ge(all(rules.occupied_from)).to_bitmask();
+            let is_free = after.simd_lt(all(rules.free_below)) & after.simd_gt(all(UNOBSERVED));
+            let (word, shift) = (n / 4, n % 4 * 16);
+            let keep = !(0xffff << shift);
+            states_free[word] = states_free[word] & keep | is_free.to_bitmask() << shift;
             states_occupied[word] = states_occupied[word] & keep | occupied << shift;
-            touched[word] |= row_touched << shift;
+            touched[word] |= bits << shift;
         }
         self.states = StateBlock::new(states_free, states_occupied);
         touched
     }
 }
 
-/// One bit for each of eight voxels. A sum of weights in 16 bits, which compilers turn into vector code.
-#[inline(always)]
-fn bits(is: impl Fn(usize) -> bool) -> u64 {
-    let weights: [u16; 8] = core::array::from_fn(|i| if is(i) { 1 << i } else { 0 });
-    u64::from(weights.iter().fold(0, |sum: u16, weight| sum.wrapping_add(*weight)))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Resolution;
     use crate::mapper::config::{MapperConfig, Preset};
-    use crate::{BlockIndex, Resolution};
     use proptest::prelude::*;
 
     fn rules(preset: Preset) -> Rules {
@@ -182,16 +181,12 @@ mod tests {
             let mut block = MapBlock::new(Sheet::FIRST, SubmapId::FIRST);
             let mut value = None;
             for (number, (misses, hits)) in scans.into_iter().enumerate() {
-                let mut miss_counts = [0; BLOCK_VOXELS];
-                let mut hit_counts = [0; BLOCK_VOXELS];
+                let mut miss_counts = [0u16; BLOCK_VOXELS];
+                let mut hit_counts = [0u16; BLOCK_VOXELS];
                 miss_counts[bit] = misses;
                 hit_counts[bit] = hits;
-                let mut counts = TouchedBlock {
-                    index: BlockIndex::default(), misses: &mut miss_counts, hits: Some(&mut hit_counts),
-                };
-                let touched = block.update(&rules, number as u16 + 1, &mut counts);
+                let touched = block.update(&rules, number as u16 + 1, &miss_counts, Some(&hit_counts));
                 prop_assert_eq!(touched.iter().map(|w| w.count_ones()).sum::<u32>(), u32::from(misses + hits != 0));
-                prop_assert_eq!((miss_counts, hit_counts), ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]));
                 value = naive(preset, value, misses, hits);
                 match (block.log_odds(bit), value) {
                     (Some(units), Some(nats)) => {
@@ -210,11 +205,9 @@ mod tests {
     fn one_hit_occupies_and_one_miss_frees_as_in_rog_map() {
         let rules = rules(Preset::RogMap);
         let apply = |block: &mut MapBlock, misses: u16, hits: u16| {
-            let (mut m, mut h) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
+            let (mut m, mut h) = ([0u16; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
             (m[77], h[77]) = (misses, hits);
-            let mut counts =
-                TouchedBlock { index: BlockIndex::default(), misses: &mut m, hits: Some(&mut h) };
-            block.update(&rules, 1, &mut counts);
+            block.update(&rules, 1, &m, Some(&h));
             block.states().get(77)
         };
         let mut block = MapBlock::new(Sheet::FIRST, SubmapId::FIRST);
@@ -233,11 +226,9 @@ mod tests {
         let rules = rules(Preset::OctoMap);
         let mut block = MapBlock::new(Sheet::FIRST, SubmapId::FIRST);
         let apply = |block: &mut MapBlock, misses: u16, hits: u16| {
-            let (mut m, mut h) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
+            let (mut m, mut h) = ([0u16; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
             (m[0], h[0]) = (misses, hits);
-            let mut counts =
-                TouchedBlock { index: BlockIndex::default(), misses: &mut m, hits: Some(&mut h) };
-            block.update(&rules, 1, &mut counts);
+            block.update(&rules, 1, &m, Some(&h));
         };
         apply(&mut block, 1, 0);
         let changes = block.changes();

@@ -87,6 +87,8 @@ pub struct MapperConfig {
     /// of its points (for a moment 144). The worst case is [`Self::memory_max`]. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "memory_mb", with = "crate::units::Mebibytes"))]
     pub memory_bytes_max: usize,
+    /// Threads that take in a scan together; the map does not depend on it. 1 to 64; default 1: no thread is made.
+    pub threads: usize,
 }
 
 impl MapperConfig {
@@ -108,6 +110,7 @@ impl MapperConfig {
             start_at_occupied: false,
             drop_cut_rays_below_m: None,
             memory_bytes_max: 512 << 20,
+            threads: 1,
         };
         match preset {
             Preset::RogMap => rog_map,
@@ -179,6 +182,8 @@ pub(super) struct Rules {
     pub(super) start: i16,
     /// More rays than this through one voxel in one scan make no difference.
     pub(super) rays_max: u16,
+    /// Nor do more rays that end there.
+    pub(super) hits_max: u16,
 }
 
 impl MapperConfig {
@@ -212,21 +217,22 @@ impl MapperConfig {
         let occupied = units(self.p_occupied);
         let (min, max, miss) = (units(self.p_min), units(self.p_max), units(self.p_miss).min(-1));
         let occupied_from = if self.start_at_occupied { occupied + 1 } else { occupied };
+        let (hit, start) = (units(self.p_hit).max(1), if self.start_at_occupied { occupied } else { 0 });
+        // Enough misses to go from the top to the bottom, or hits to go back; also keeps products within 16 bits.
+        let most = |from: i16, to: i16, by: i16| {
+            let width = (i32::from(to) - i32::from(from)).unsigned_abs();
+            if self.every_ray_counts { width.div_ceil(i32::from(by).unsigned_abs()) as u16 } else { 1 }
+        };
         Ok(Rules {
-            hit: units(self.p_hit).max(1),
+            hit,
             miss,
             min,
             max,
             occupied_from,
             free_below: if self.p_free == self.p_occupied { occupied_from } else { units(self.p_free) },
-            start: if self.start_at_occupied { occupied } else { 0 },
-            rays_max: if self.every_ray_counts {
-                // Enough misses to go from the top to the bottom; also keeps the product within 16 bits.
-                (i32::from(max) - i32::from(min)).unsigned_abs().div_ceil(i32::from(miss).unsigned_abs())
-                    as u16
-            } else {
-                1
-            },
+            start,
+            rays_max: most(max, min, miss),
+            hits_max: most(min.min(start), max, hit).min(most(max, min, miss)),
         })
     }
 }

@@ -9,7 +9,8 @@ use crate::{BLOCK_SIDE, BlockIndex, Plane, Stamp, StateBlock};
 /// The most bytes that one block of the map takes of the byte cap: itself, and its places in the table of
 /// blocks and in that of blocks with changes. A table is filled to no less than 7/32 while blocks come and
 /// go.
-pub const MAP_BLOCK_BYTES: usize = size_of::<MapBlock>() + (ENTRY_BYTES + 1 + PENDING_BYTES + 1) * 32 / 7;
+pub const MAP_BLOCK_BYTES: usize =
+    size_of::<MapBlock>() + LISTED_BYTES * 9 / 4 + (ENTRY_BYTES + 1 + PENDING_BYTES + 1) * 32 / 7;
 /// What a scan can take for a moment, for each block that it touches: the counts of the rays that pass and of
 /// those that end, each list a quarter too large and moved to a new place while it grows; its number and its
 /// place in the window; what is reported of it, and what is forgotten for it.
@@ -27,8 +28,9 @@ const POINT_BYTES: usize = size_of::<Ray>() + 2 * 56;
 /// Stamps of scans, as long as voxels refer to them; moved to a new place while the list grows.
 const SCAN_STAMPS_BYTES: usize = (1 << 16) * size_of::<Stamp>() * 3 / 2;
 
-/// A block in its table.
-pub(super) const ENTRY_BYTES: usize = size_of::<(BlockIndex, Box<MapBlock>)>();
+/// A block in its table, and in the list of blocks.
+pub(super) const ENTRY_BYTES: usize = size_of::<(BlockIndex, u32)>();
+pub(super) const LISTED_BYTES: usize = size_of::<(BlockIndex, Box<MapBlock>)>();
 /// A block in the table of those with changes.
 pub(super) const PENDING_BYTES: usize = size_of::<(BlockIndex, u32)>();
 

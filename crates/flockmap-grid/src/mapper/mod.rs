@@ -2,6 +2,9 @@
 //! published.
 
 mod block;
+mod blocks;
+mod casting;
+mod collect;
 mod config;
 mod memory;
 mod rays;
@@ -9,17 +12,21 @@ mod revisit;
 mod states;
 mod submaps;
 mod take;
+mod tally;
+mod window;
 
 use rustc_hash::FxHashMap;
 
 use crate::memory::table_bytes;
 use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::MapBlock;
+use blocks::Blocks;
+use casting::Casting;
+use collect::RayMaker;
 use config::Rules;
 pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset};
 pub use memory::MAP_BLOCK_BYTES;
-use memory::{ENTRY_BYTES, FarKey, PENDING_BYTES};
-use rays::{Ray, RayCounts};
+use memory::{ENTRY_BYTES, FarKey, LISTED_BYTES, PENDING_BYTES};
 pub(crate) use revisit::OwnBlocks;
 pub use submaps::MovedBlock;
 use submaps::Submaps;
@@ -30,14 +37,13 @@ use submaps::Submaps;
 pub struct Mapper {
     config: MapperConfig,
     rules: Rules,
-    blocks: FxHashMap<BlockIndex, Box<MapBlock>>,
+    blocks: Blocks,
     /// Blocks with changes, or that had some; the flag in `is_pending` keeps each in here once.
     pending_blocks: FxHashMap<BlockIndex, u32>,
     pending: usize,
-    /// Room in the tables of blocks and of blocks with changes. Tables never shrink.
-    table_places: [usize; 2],
-    counts: RayCounts,
-    rays: Vec<Ray>,
+    /// Room in the table of blocks, the list of them, and the table of blocks with changes. They never shrink.
+    table_places: [usize; 3],
+    casting: Casting,
     /// Where the sensor was last, or what stood for it, in metres.
     place: Option<[f64; 3]>,
     /// Stamp of scan, or update with states, number `i + 1`.
@@ -99,17 +105,16 @@ impl Mapper {
     pub fn new(config: MapperConfig) -> Result<Self, ConfigError> {
         let rules = config.rules()?;
         Ok(Self {
-            config,
-            rules,
-            blocks: FxHashMap::default(),
+            blocks: Blocks::default(),
             pending_blocks: FxHashMap::default(),
             pending: 0,
-            table_places: [0; 2],
-            counts: RayCounts::default(),
-            rays: Vec::new(),
+            table_places: [0; 3],
+            casting: Casting::new(&rules, config.threads),
             place: None,
             scan_stamps: Vec::new(),
             submaps: Submaps::default(),
+            config,
+            rules,
         })
     }
 
@@ -144,31 +149,16 @@ impl Mapper {
         }
         self.place = Some(T_map_sensor.translation());
         report.sensor = self.place;
-        let scale = 1.0 / self.config.resolution.metres();
-        let start = T_map_sensor.translation().map(|v| v * scale);
-        self.collect_rays(scan, T_map_sensor, teammates, start, scale, &mut report);
+        let rays = RayMaker::new(&self.config, T_map_sensor, teammates);
         let number = self.next_scan_number(stamp);
         // Out of the way, so that the map can be changed by what they say.
-        let mut counts = core::mem::take(&mut self.counts);
-        counts.cast(start, &self.rays);
-        let nearer_than = self.forget_far_blocks(start, counts.indices(), &mut report);
-        for mut counts in counts.blocks() {
-            if nearer_than.is_some_and(|end| far_key(start, counts.index) >= end) {
-                counts.clear();
-                continue;
-            }
-            let rules = self.rules;
-            if self.is_over(counts.index) {
-                let kept = counts.copy();
-                if !self.revisit(counts.index, &mut report, |block| block.update(&rules, number, &mut counts))
-                {
-                    continue;
-                }
-                counts.put_back(kept);
-            }
-            self.change(counts.index, &mut report, |block| block.update(&rules, number, &mut counts));
+        let mut casting = core::mem::take(&mut self.casting);
+        match &mut casting {
+            Casting::Once(counts) => self.take_in(counts, scan, &rays, number, &mut report),
+            Casting::Bytes(counts) => self.take_in(counts, scan, &rays, number, &mut report),
+            Casting::Words(counts) => self.take_in(counts, scan, &rays, number, &mut report),
         }
-        self.counts = counts;
+        self.casting = casting;
         self.note_tables();
         report
     }
@@ -181,57 +171,66 @@ impl Mapper {
         report: &mut ScanReport,
         change: impl FnOnce(&mut MapBlock) -> Plane,
     ) {
-        let submaps = &mut self.submaps;
-        let block =
-            self.blocks.entry(index).or_insert_with(|| Box::new(submaps.new_block(index, &mut report.moved)));
-        submaps.note_touched(index, block, &mut report.moved);
+        let (block, _) = self.touch(index, report);
         let before = *block.states();
         let touched = change(block);
         if *block.states() != before {
-            report.changed.push((index, block.states().minus(&before)));
-            let changed = block.changes().known_count();
-            let known = self.pending_blocks.entry(index).or_insert(0);
-            self.pending = self.pending + changed as usize - *known as usize;
-            *known = changed;
+            let (states, changes) = (block.states().minus(&before), block.changes().known_count());
+            report.changed.push((index, states));
+            self.note_pending(index, changes);
         }
         if touched != [0; 8] {
             report.touched.push((index, touched));
         }
     }
 
+    /// A block that is about to be touched, made if it is not there, and its place in the list of blocks.
+    fn touch(&mut self, index: BlockIndex, report: &mut ScanReport) -> (&mut MapBlock, u32) {
+        let submaps = &mut self.submaps;
+        let (block, place) = self.blocks.entry(index, || submaps.new_block(index, &mut report.moved));
+        submaps.note_touched(index, block, &mut report.moved);
+        (block, place)
+    }
+
+    /// A block has so many changes now.
+    fn note_pending(&mut self, index: BlockIndex, changes: u32) {
+        let known = self.pending_blocks.entry(index).or_insert(0);
+        self.pending = self.pending + changes as usize - *known as usize;
+        *known = changes;
+    }
+
     /// Nothing was taken out since the tables grew, if they did.
     fn note_tables(&mut self) {
-        self.table_places = [
-            self.table_places[0].max(self.blocks.capacity()),
-            self.table_places[1].max(self.pending_blocks.capacity()),
-        ];
+        let [table, list] = self.blocks.capacity();
+        let now = [table, list, self.pending_blocks.capacity()];
+        self.table_places = core::array::from_fn(|i| self.table_places[i].max(now[i]));
     }
 
     /// State of a voxel.
     pub fn state(&self, voxel: Voxel) -> State {
-        self.blocks.get(&voxel.block()).map_or(State::Unknown, |block| block.states().get(voxel_bit(voxel)))
+        self.blocks.get(voxel.block()).map_or(State::Unknown, |block| block.states().get(voxel_bit(voxel)))
     }
 
     /// Log-odds of a voxel in nats, `None` if no ray has touched it.
     pub fn log_odds(&self, voxel: Voxel) -> Option<f64> {
-        let units = self.blocks.get(&voxel.block())?.log_odds(voxel_bit(voxel))?;
+        let units = self.blocks.get(voxel.block())?.log_odds(voxel_bit(voxel))?;
         Some(f64::from(units) / LOG_ODDS_UNITS_PER_NAT)
     }
 
     /// The states of a block, `None` if nothing in it was ever observed.
     pub fn block(&self, index: BlockIndex) -> Option<&StateBlock> {
-        self.blocks.get(&index).map(|block| block.states())
+        self.blocks.get(index).map(|block| block.states())
     }
 
     /// All blocks, in no order.
     pub fn blocks(&self) -> impl Iterator<Item = (BlockIndex, &StateBlock)> {
-        self.blocks.iter().map(|(index, block)| (*index, block.states()))
+        self.blocks.iter().map(|(index, block)| (index, block.states()))
     }
 
     /// Stamp of the last scan or update with states that touched a voxel; `None` if none did, or longer ago than
     /// 32,768 of them.
     pub fn last_seen(&self, voxel: Voxel) -> Option<Stamp> {
-        let number = self.blocks.get(&voxel.block())?.seen(voxel_bit(voxel));
+        let number = self.blocks.get(voxel.block())?.seen(voxel_bit(voxel));
         self.scan_stamps.get(usize::from(number).checked_sub(1)?).copied()
     }
 
@@ -240,7 +239,8 @@ impl Mapper {
     pub fn memory_bytes(&self) -> usize {
         self.block_count() * size_of::<MapBlock>()
             + table_bytes(self.table_places[0], ENTRY_BYTES)
-            + table_bytes(self.table_places[1], PENDING_BYTES)
+            + self.table_places[1] * LISTED_BYTES
+            + table_bytes(self.table_places[2], PENDING_BYTES)
     }
 
     /// Number of blocks.
@@ -248,75 +248,12 @@ impl Mapper {
         self.blocks.len()
     }
 
-    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    fn collect_rays(
-        &mut self,
-        scan: &Scan,
-        T_map_sensor: &Pose,
-        teammates: &[Sphere],
-        start: [f64; 3],
-        scale: f64,
-        report: &mut ScanReport,
-    ) {
-        let rotation = T_map_sensor.rotation_rows().map(|row| row.map(|v| v * scale));
-        let (range, range_min) = (self.config.range_m * scale, self.config.range_min_m * scale);
-        let half_box = self.config.update_box_m.map(|half| half.map(|h| h * scale));
-        let lowest_cut_end = self.config.drop_cut_rays_below_m.map(|z| z * scale);
-        let masks: Vec<([f64; 3], f64)> =
-            teammates.iter().map(|s| (s.centre.map(|c| c * scale), (s.radius * scale).powi(2))).collect();
-        self.rays.clear();
-        self.rays.reserve_exact(scan.points.len() + scan.no_returns.len());
-        let returns = scan.points.iter().map(|p| (p, true));
-        for (point, returned) in returns.chain(scan.no_returns.iter().map(|p| (p, false))) {
-            let p = point.map(f64::from);
-            let d: [f64; 3] = core::array::from_fn(|axis| {
-                rotation[axis][0] * p[0] + rotation[axis][1] * p[1] + rotation[axis][2] * p[2]
-            });
-            let length = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
-            // Written so that a NaN is ignored.
-            if !(length >= range_min && length < f64::INFINITY) {
-                report.ignored += 1;
-                continue;
-            }
-            let end: [f64; 3] = core::array::from_fn(|axis| start[axis] + d[axis]);
-            if returned
-                && masks.iter().any(|(c, radius2)| {
-                    (0..3).map(|axis| (end[axis] - c[axis]).powi(2)).sum::<f64>() <= *radius2
-                })
-            {
-                report.masked += 1;
-                continue;
-            }
-            let mut part = if length > range { range / length } else { 1.0 };
-            if let Some(half) = half_box {
-                for axis in 0..3 {
-                    if (d[axis] * part).abs() > half[axis] {
-                        part = half[axis] / d[axis].abs();
-                    }
-                }
-            }
-            let is_hit = returned && part == 1.0;
-            let end =
-                if part == 1.0 { end } else { core::array::from_fn(|axis| start[axis] + d[axis] * part) };
-            if !is_hit && lowest_cut_end.is_some_and(|z| end[2] < z) {
-                report.ignored += 1;
-                continue;
-            }
-            if is_hit {
-                report.hits += 1;
-            } else {
-                report.cut += 1;
-            }
-            self.rays.push(Ray { end, is_hit });
-        }
-    }
-
     /// Numbers the scan. Numbers are 16 bits: when they run out, the older half is forgotten.
     fn next_scan_number(&mut self, stamp: Stamp) -> u16 {
         const HALF: u16 = 1 << 15;
         if self.scan_stamps.len() == usize::from(u16::MAX) {
             self.scan_stamps.drain(..usize::from(HALF));
-            for block in self.blocks.values_mut() {
+            for block in self.blocks.iter_mut() {
                 block.rebase_seen(HALF);
             }
         }
@@ -340,8 +277,8 @@ impl Mapper {
         if self.blocks.len() + touched_count <= blocks_max {
             return None;
         }
-        let new = touched.filter(|index| !self.blocks.contains_key(index));
-        let all = self.blocks.keys().copied().chain(new);
+        let new = touched.filter(|index| !self.blocks.contains(*index));
+        let all = self.blocks.iter().map(|(index, _)| index).chain(new);
         let mut far: Vec<FarKey> = Vec::with_capacity(self.blocks.len() + touched_count);
         far.extend(all.map(|index| far_key(start, index)));
         if far.len() <= blocks_max {
@@ -350,7 +287,7 @@ impl Mapper {
         let keep = (blocks_max - blocks_max / 10).max(1);
         let (_, &mut end, _) = far.select_nth_unstable(keep);
         for (_, index) in &far[keep..] {
-            if let Some(block) = self.blocks.remove(index) {
+            if let Some(block) = self.blocks.remove(*index) {
                 self.submaps.note_forgotten(*index, &block, &mut report.moved);
             }
             if let Some(known) = self.pending_blocks.remove(index) {

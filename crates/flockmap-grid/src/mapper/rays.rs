@@ -7,19 +7,15 @@
 //! in blocks taken from a pool at first touch, so that memory follows what the scan sees and not the cube
 //! around it.
 
-use crate::{BLOCK_VOXELS, BlockIndex, Voxel};
+use super::ScanReport;
+use super::collect::RayMaker;
+use super::tally::{LANES, Pool, STEPS_MAX, Tallies, Tally};
+use super::window::Window;
+use crate::{BlockIndex, Voxel};
+use fearless_simd::{Level, dispatch};
 
-/// Rays that walk in step.
-const LANES: usize = 8;
-
-/// Rays between two checks that no count runs over 16 bits.
-const BATCH: usize = 1 << 15;
-
-/// Counts are cut to this between batches. No rule counts more rays than this.
-pub(super) const COUNT_MAX: u16 = u16::MAX - BATCH as u16;
-
-/// Steps that a group walks before its places are counted.
-const STEPS: usize = 32;
+/// Points that one thread takes before another one's turn.
+const TURN: usize = 256;
 
 /// Times along a ray are whole numbers: this is the end of the ray.
 const ONE: f64 = (1u32 << 29) as f64;
@@ -28,74 +24,56 @@ const ONE: f64 = (1u32 << 29) as f64;
 /// plus this still fits 32 bits.
 const NEVER: f64 = (1u32 << 30) as f64;
 
-/// Counts of one scan. Reused from scan to scan.
-#[derive(Default)]
-pub(super) struct RayCounts {
+/// A ray in voxel units (metres divided by the resolution), in the frame of the map.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ray {
+    pub(super) end: [f64; 3],
+    pub(super) is_hit: bool,
+    /// Voxels before the one in which it ends.
+    length: u32,
+}
+
+impl Ray {
+    #[inline(always)]
+    pub(super) fn new(from: Voxel, end: [f64; 3], is_hit: bool) -> Self {
+        let to = voxel_of(end);
+        Self { end, is_hit, length: from.x.abs_diff(to.x) + from.y.abs_diff(to.y) + from.z.abs_diff(to.z) }
+    }
+}
+
+/// The voxel in which a point lies. Not by `floor`, which is a call where no vector instructions are asked for.
+#[inline(always)]
+pub(super) fn voxel_of(p: [f64; 3]) -> Voxel {
+    let floor = |v: f64| {
+        let towards_zero = v as i32;
+        towards_zero - i32::from(f64::from(towards_zero) > v)
+    };
+    Voxel::new(floor(p[0]), floor(p[1]), floor(p[2]))
+}
+
+/// The rays of one scan. Reused from scan to scan.
+pub(super) struct Rays<T: Tallies> {
     window: Window,
-    /// For each block of the window: where its counts begin in `misses`; 0 = not touched yet.
-    table: Vec<u32>,
-    /// Rays that passed through, 512 to a block. The first 512 are never used, so that 0 means "none".
-    /// All zero between scans: who takes the counts sets them back.
-    misses: Vec<u16>,
-    /// Rays that ended here, in the same places. Ends are counted first, so that only the first blocks have
-    /// hits: most blocks are only passed through.
-    hits: Vec<u16>,
-    /// How many blocks these are.
-    hit_blocks: usize,
-    /// Places in the table of the touched blocks, in the order of their first touch; block `n` has its counts
-    /// at `(n + 1) · 512`.
+    /// One for each thread; of a small scan fewer are used.
+    shares: Vec<Share<T>>,
+    used: usize,
+}
+
+/// The rays that one thread casts, and its counts.
+struct Share<T: Tallies> {
+    /// Which one of the shares it is.
+    number: usize,
+    rays: Vec<Ray>,
+    /// What became of its points.
+    report: ScanReport,
+    /// Longest first.
+    order: Vec<u32>,
+    /// Rays that passed through.
+    misses: T,
+    /// Rays that ended here.
+    hits: Pool<T::Block>,
+    /// Blocks in which anything was counted, perhaps twice.
     touched: Vec<u32>,
-    walks: Vec<Walk>,
-    by_length: Vec<u32>,
-}
-
-/// The part of the map that the rays of a scan can reach: block 0 0 0 of the table, and bits per axis.
-#[derive(Clone, Copy, Default, Debug)]
-struct Window {
-    corner: BlockIndex,
-    /// Which bits of a place belong to x, y, z.
-    masks: [u32; 3],
-    bits: [u32; 3],
-}
-
-impl Window {
-    /// The smallest window that holds the blocks from `low` to `high`.
-    fn new(low: BlockIndex, high: BlockIndex) -> Self {
-        let bits_for = |low: i32, high: i32| 32 - ((high - low) as u32).leading_zeros();
-        let bits = [bits_for(low.x, high.x), bits_for(low.y, high.y), bits_for(low.z, high.z)];
-        let mut masks = [0b111, 0b111 << 3, 0b111 << 6];
-        let mut shift = 9;
-        for (mask, bits) in masks.iter_mut().zip(bits) {
-            *mask |= ((1u32 << bits) - 1) << shift;
-            shift += bits;
-        }
-        Self { corner: low, masks, bits }
-    }
-
-    fn blocks(&self) -> usize {
-        1 << (self.bits[0] + self.bits[1] + self.bits[2])
-    }
-
-    fn place(&self, voxel: Voxel) -> [u32; 3] {
-        let c = self.corner.corner();
-        let (x, y, z) = ((voxel.x - c.x) as u32, (voxel.y - c.y) as u32, (voxel.z - c.z) as u32);
-        let [bx, by, _] = self.bits;
-        [
-            (x & 7) | (x >> 3) << 9,
-            (y & 7) << 3 | (y >> 3) << (9 + bx),
-            (z & 7) << 6 | (z >> 3) << (9 + bx + by),
-        ]
-    }
-
-    fn block(&self, index: u32) -> BlockIndex {
-        let [bx, by, bz] = self.bits;
-        let field = |shift: u32, bits: u32| ((index >> shift) & ((1 << bits) - 1)) as i32;
-        BlockIndex::new(
-            self.corner.x + field(0, bx),
-            self.corner.y + field(bx, by),
-            self.corner.z + field(bx + by, bz),
-        )
-    }
 }
 
 /// One ray, ready to walk.
@@ -108,181 +86,197 @@ struct Walk {
     next: [i32; 3],
     /// Time between two crossings of each axis.
     delta: [i32; 3],
-    /// Voxels before the one in which the ray ends.
-    length: u32,
 }
 
-/// A ray in voxel units (metres divided by the resolution), in the frame of the map.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Ray {
-    pub(super) end: [f64; 3],
-    pub(super) is_hit: bool,
-}
-
-/// The counts of one touched block.
-pub(super) struct TouchedBlock<'a> {
-    pub(super) index: BlockIndex,
-    pub(super) misses: &'a mut [u16; BLOCK_VOXELS],
-    /// `None` if no ray ended in the block.
-    pub(super) hits: Option<&'a mut [u16; BLOCK_VOXELS]>,
-}
-
-/// The counts of a block: misses, and hits if any ray ended there.
-type Counts = ([u16; BLOCK_VOXELS], Option<[u16; BLOCK_VOXELS]>);
-
-impl TouchedBlock<'_> {
-    /// The counts, to be [put back](Self::put_back) when they are used up.
-    pub(super) fn copy(&self) -> Counts {
-        (*self.misses, self.hits.as_deref().copied())
+impl<T: Tallies> Rays<T> {
+    pub(super) fn new(threads: usize) -> Self {
+        Self { window: Window::default(), shares: (0..threads).map(Share::new).collect(), used: 0 }
     }
 
-    pub(super) fn put_back(&mut self, (misses, hits): Counts) {
-        *self.misses = misses;
-        if let (Some(to), Some(hits)) = (self.hits.as_deref_mut(), hits) {
-            *to = hits;
+    /// Makes the rays of points, in at most so many threads.
+    pub(super) fn collect(
+        &mut self,
+        threads_max: usize,
+        maker: &RayMaker,
+        points: [(&[[f32; 3]], bool); 2],
+        report: &mut ScanReport,
+    ) {
+        self.used = threads_max.clamp(1, self.shares.len());
+        let count = self.used;
+        let level = Level::new();
+        each(&mut self.shares[..count], |share| {
+            dispatch!(level, _ => share.collect(count, maker, points));
+        });
+        for of_share in self.shares[..count].iter().map(|share| &share.report) {
+            report.hits += of_share.hits;
+            report.cut += of_share.cut;
+            report.ignored += of_share.ignored;
+            report.masked += of_share.masked;
         }
     }
 
-    /// Sets the counts back to zero.
-    pub(super) fn clear(self) {
-        *self.misses = [0; BLOCK_VOXELS];
-        if let Some(hits) = self.hits {
-            *hits = [0; BLOCK_VOXELS];
-        }
+    /// Threads that work on this scan.
+    pub(super) const fn used(&self) -> usize {
+        self.used
     }
-}
 
-fn voxel_of(p: [f64; 3]) -> Voxel {
-    Voxel::new(p[0].floor() as i32, p[1].floor() as i32, p[2].floor() as i32)
-}
-
-impl RayCounts {
     /// Casts all rays from `start` (voxel units). Start and ends must lie within the voxel limits, and no ray
     /// may be longer than 500 voxels. A voxel that a ray passes through counts one miss, the voxel in which
     /// it ends counts one hit or, for a ray that was cut, nothing.
-    pub(super) fn cast(&mut self, start: [f64; 3], rays: &[Ray]) {
-        self.clear();
+    pub(super) fn cast(&mut self, start: [f64; 3]) {
         let from = voxel_of(start);
         let (mut low, mut high) = (from, from);
-        for end in rays.iter().map(|ray| voxel_of(ray.end)) {
+        for end in self.shares[..self.used].iter().flat_map(|share| &share.rays).map(|ray| voxel_of(ray.end))
+        {
             (low, high) = (low.lowest(end), high.highest(end));
         }
-        self.window = Window::new(low.block(), high.block());
-        if self.table.len() < self.window.blocks() {
-            self.table.resize(self.window.blocks(), 0);
+        let window = Window::new(low.block(), high.block());
+        self.window = window;
+        let level = Level::new();
+        each(&mut self.shares[..self.used], |share| {
+            dispatch!(level, _ => share.cast(start, &window));
+        });
+    }
+
+    /// The touched blocks, each with its number in the window, ascending.
+    pub(super) fn touched(&self) -> Vec<(u32, BlockIndex)> {
+        let of_shares = self.shares[..self.used].iter().flat_map(|share| &share.touched);
+        let mut blocks: Vec<u32> = of_shares.copied().collect();
+        blocks.sort_unstable();
+        blocks.dedup();
+        blocks.into_iter().map(|block| (block, self.window.block(block))).collect()
+    }
+
+    /// The counts of a touched block: misses, and hits if any ray ended there.
+    pub(super) fn counts(&self, block: u32) -> (T::Block, Option<T::Block>) {
+        let (mut misses, mut hits) = (T::Block::ZERO, None::<T::Block>);
+        for share in &self.shares[..self.used] {
+            share.misses.block(block).into_iter().for_each(|of_share| misses.merge(of_share));
+            if let Some(of_share) = share.hits.block(block) {
+                hits.get_or_insert(T::Block::ZERO).merge(of_share);
+            }
         }
-        self.prepare(start, from, rays);
+        (misses, hits)
+    }
+}
+
+/// Does something with each, in a thread of its own but the first.
+pub(super) fn each<S: Send>(items: &mut [S], work: impl Fn(&mut S) + Sync) {
+    let Some((first, rest)) = items.split_first_mut() else { return };
+    if rest.is_empty() {
+        work(first);
+        return;
+    }
+    let work = &work;
+    std::thread::scope(|scope| {
+        for item in rest {
+            scope.spawn(move || work(item));
+        }
+        work(first);
+    });
+}
+
+impl<T: Tallies> Share<T> {
+    fn new(number: usize) -> Self {
+        Self {
+            number,
+            rays: Vec::new(),
+            report: ScanReport::default(),
+            order: Vec::new(),
+            misses: T::default(),
+            hits: Pool::default(),
+            touched: Vec::new(),
+        }
+    }
+
+    #[inline(always)]
+    fn collect(&mut self, shares: usize, maker: &RayMaker, points: [(&[[f32; 3]], bool); 2]) {
+        self.rays.clear();
+        let all = points.iter().map(|(points, _)| points.len()).sum::<usize>();
+        self.rays.reserve_exact(all.div_ceil(shares).next_multiple_of(TURN) + TURN);
+        self.report = ScanReport::default();
+        for (points, returned) in points {
+            for turn in points.chunks(TURN).skip(self.number).step_by(shares) {
+                for point in turn {
+                    self.rays.extend(maker.ray(point, returned, &mut self.report));
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn cast(&mut self, start: [f64; 3], window: &Window) {
+        self.misses.begin(window.blocks());
+        self.hits.begin(window.blocks());
+        self.count_hits(window);
         self.sort_by_length();
-        let order = core::mem::take(&mut self.by_length);
-        for (number, batch) in order.chunks(BATCH).enumerate() {
-            if number > 0 {
-                for count in &mut self.misses {
-                    *count = (*count).min(COUNT_MAX);
-                }
-            }
-            let (groups, rest) = batch.as_chunks::<LANES>();
-            for group in groups {
-                self.walk_group(group);
-            }
-            for &ray in rest {
-                self.walk_one(self.walks[ray as usize], 0);
-            }
+        let order = core::mem::take(&mut self.order);
+        let (groups, rest) = order.as_chunks::<LANES>();
+        for group in groups {
+            self.walk_group(start, window, group);
         }
-        self.by_length = order;
-    }
-
-    /// The touched blocks, in the order of their first touch.
-    pub(super) fn indices(&self) -> impl ExactSizeIterator<Item = BlockIndex> {
-        self.touched.iter().map(|block| self.window.block(*block))
-    }
-
-    /// The same with their counts, which must be set back to zero.
-    pub(super) fn blocks(&mut self) -> impl Iterator<Item = TouchedBlock<'_>> {
-        let window = self.window;
-        let misses = self.misses.as_chunks_mut::<BLOCK_VOXELS>().0.iter_mut().skip(1);
-        let hits = self.hits.as_chunks_mut::<BLOCK_VOXELS>().0.iter_mut().skip(1).take(self.hit_blocks);
-        let hits = hits.map(Some).chain(core::iter::repeat_with(|| None));
-        self.touched.iter().zip(misses.zip(hits)).map(move |(block, (misses, hits))| TouchedBlock {
-            index: window.block(*block),
-            misses,
-            hits,
-        })
-    }
-
-    fn clear(&mut self) {
-        for touched in &self.touched {
-            self.table[*touched as usize] = 0;
+        for &ray in rest {
+            let ray = &self.rays[ray as usize];
+            let (walk, length) = (ray.walk(start, window), ray.length);
+            self.walk_one(walk, window, length);
         }
+        self.order = order;
         self.touched.clear();
+        self.misses.end(&mut self.touched);
+        self.hits.end(&mut self.touched);
     }
 
-    fn prepare(&mut self, start: [f64; 3], from: Voxel, rays: &[Ray]) {
-        let place = self.window.place(from);
-        let masks = self.window.masks;
-        let fraction: [f64; 3] = core::array::from_fn(|a| start[a] - start[a].floor());
-        let from = [from.x, from.y, from.z];
-        self.walks.clear();
-        self.walks.reserve_exact(rays.len());
-        for ray in rays {
-            let end = voxel_of(ray.end);
-            let to = [end.x, end.y, end.z];
-            let mut walk = Walk { place, ..Walk::default() };
-            for axis in 0..3 {
-                let direction = ray.end[axis] - start[axis];
-                let unit = 1u32 << (3 * axis);
-                let inverse = ONE / direction.abs();
-                let to_face;
-                if direction > 0.0 {
-                    walk.step[axis] = (!masks[axis]).wrapping_add(unit);
-                    to_face = 1.0 - fraction[axis];
-                } else {
-                    walk.step[axis] = unit.wrapping_neg();
-                    to_face = fraction[axis];
-                }
-                // A direction of zero gives an infinite inverse, and 0 · ∞ is not a number: `min` takes the
-                // other.
-                walk.next[axis] = ((to_face * inverse).min(NEVER) + 0.5) as i32;
-                walk.delta[axis] = (inverse.min(NEVER) + 0.5) as i32;
-                walk.length += to[axis].abs_diff(from[axis]);
-            }
-            self.walks.push(walk);
-            if ray.is_hit {
-                let [x, y, z] = self.window.place(end);
-                let at = self.slot(x | y | z);
-                extend(&mut self.hits, at | (BLOCK_VOXELS - 1));
-                self.hits[at] = self.hits[at].saturating_add(1);
-            }
+    #[inline(always)]
+    fn count_hits(&mut self, window: &Window) {
+        for ray in self.rays.iter().filter(|ray| ray.is_hit) {
+            let [x, y, z] = window.place(voxel_of(ray.end));
+            self.hits.add(x | y | z);
         }
-        self.hit_blocks = self.touched.len();
     }
 
     /// Longest first, equal lengths in the order of the scan, so that the rays of a group end together.
     fn sort_by_length(&mut self) {
-        let longest = self.walks.iter().map(|w| w.length).max().unwrap_or(0) as usize;
+        let longest = self.rays.iter().map(|ray| ray.length).max().unwrap_or(0) as usize;
         let mut starts = vec![0u32; longest + 2];
-        for walk in &self.walks {
-            starts[longest - walk.length as usize + 1] += 1;
+        for ray in &self.rays {
+            starts[longest - ray.length as usize + 1] += 1;
         }
         for i in 1..starts.len() {
             starts[i] += starts[i - 1];
         }
-        self.by_length.clear();
-        self.by_length.reserve_exact(self.walks.len());
-        self.by_length.resize(self.walks.len(), 0);
-        for (ray, walk) in self.walks.iter().enumerate() {
-            let at = &mut starts[longest - walk.length as usize];
-            self.by_length[*at as usize] = ray as u32;
+        let ends = starts.clone();
+        self.order.clear();
+        self.order.reserve_exact(self.rays.len());
+        self.order.resize(self.rays.len(), 0);
+        for (number, ray) in self.rays.iter().enumerate() {
+            let at = &mut starts[longest - ray.length as usize];
+            self.order[*at as usize] = number as u32;
             *at += 1;
+        }
+        // Rays that follow one another in the scan pass the same voxels, and would wait for each other: those of a group
+        // are far apart.
+        let mut apart = Vec::new();
+        for bucket in ends.windows(2) {
+            let bucket = &mut self.order[bucket[0] as usize..bucket[1] as usize];
+            let rows = bucket.len() / LANES;
+            apart.clear();
+            apart.extend_from_slice(&bucket[..rows * LANES]);
+            for row in 0..rows {
+                for lane in 0..LANES {
+                    bucket[row * LANES + lane] = apart[lane * rows + row];
+                }
+            }
         }
     }
 
-    fn walk_group(&mut self, group: &[u32; LANES]) {
+    #[inline(always)]
+    fn walk_group(&mut self, start: [f64; 3], window: &Window, group: &[u32; LANES]) {
         let mut place = [[0u32; LANES]; 3];
         let mut step = [[0u32; LANES]; 3];
         let mut next = [[0i32; LANES]; 3];
         let mut delta = [[0i32; LANES]; 3];
         for (lane, &ray) in group.iter().enumerate() {
-            let walk = &self.walks[ray as usize];
+            let walk = self.rays[ray as usize].walk(start, window);
             for axis in 0..3 {
                 place[axis][lane] = walk.place[axis];
                 step[axis][lane] = walk.step[axis];
@@ -290,12 +284,12 @@ impl RayCounts {
                 delta[axis][lane] = walk.delta[axis];
             }
         }
-        let masks = self.window.masks;
-        let together = self.walks[group[LANES - 1] as usize].length;
-        let mut steps = [[0u32; LANES]; STEPS];
+        let masks = window.masks;
+        let together = self.rays[group[LANES - 1] as usize].length;
+        let mut steps = [[0u32; LANES]; STEPS_MAX];
         let mut done = 0;
         while done < together {
-            let count = STEPS.min((together - done) as usize);
+            let count = T::STEPS.min((together - done) as usize);
             for at in &mut steps[..count] {
                 for l in 0..LANES {
                     at[l] = place[0][l] | place[1][l] | place[2][l];
@@ -311,25 +305,27 @@ impl RayCounts {
                     place[2][l] = place[2][l].wrapping_add(step[2][l] & is_z as u32) & masks[2];
                 }
             }
-            self.count_misses(&steps[..count]);
+            self.misses.add_all(&steps[..count]);
             done += count as u32;
         }
         for (lane, &ray) in group.iter().enumerate() {
-            let walk = Walk {
-                place: core::array::from_fn(|axis| place[axis][lane]),
-                next: core::array::from_fn(|axis| next[axis][lane]),
-                ..self.walks[ray as usize]
-            };
-            self.walk_one(walk, together);
+            let length = self.rays[ray as usize].length;
+            if length > together {
+                let at = |of: &[[u32; LANES]; 3]| core::array::from_fn(|axis| of[axis][lane]);
+                let time = |of: &[[i32; LANES]; 3]| core::array::from_fn(|axis| of[axis][lane]);
+                let walk =
+                    Walk { place: at(&place), step: at(&step), next: time(&next), delta: time(&delta) };
+                self.walk_one(walk, window, length - together);
+            }
         }
     }
 
-    /// Walks one ray, of which `done` voxels are behind it.
-    fn walk_one(&mut self, mut walk: Walk, done: u32) {
-        for _ in done..walk.length {
+    /// Walks one ray for so many voxels.
+    #[inline(always)]
+    fn walk_one(&mut self, mut walk: Walk, window: &Window, length: u32) {
+        for _ in 0..length {
             let [x, y, z] = walk.place;
-            let at = self.slot(x | y | z);
-            self.misses[at] += 1;
+            self.misses.add(x | y | z);
             let [x, y, z] = walk.next;
             let axis = if x <= y && x <= z {
                 0
@@ -339,92 +335,65 @@ impl RayCounts {
                 2
             };
             walk.next[axis] = walk.next[axis].wrapping_add(walk.delta[axis]);
-            walk.place[axis] = walk.place[axis].wrapping_add(walk.step[axis]) & self.window.masks[axis];
+            walk.place[axis] = walk.place[axis].wrapping_add(walk.step[axis]) & window.masks[axis];
         }
     }
+}
 
-    /// Counts a miss at each place.
+impl Ray {
     #[inline(always)]
-    fn count_misses(&mut self, places: &[[u32; LANES]]) {
-        // Slices in locals, so that the loop need not look them up again after every store.
-        let (mut table, mut misses) = (self.table.as_slice(), self.misses.as_mut_slice());
-        for step in places {
-            for place in step {
-                let mut slot = table[(place >> 9) as usize];
-                if slot == 0 {
-                    slot = self.touch((place >> 9) as usize);
-                    (table, misses) = (self.table.as_slice(), self.misses.as_mut_slice());
-                }
-                misses[slot as usize + (place & 511) as usize] += 1;
+    fn walk(&self, start: [f64; 3], window: &Window) -> Walk {
+        let from = voxel_of(start);
+        let mut walk = Walk { place: window.place(from), ..Walk::default() };
+        let from = [from.x, from.y, from.z];
+        for axis in 0..3 {
+            let direction = self.end[axis] - start[axis];
+            let fraction = start[axis] - f64::from(from[axis]);
+            let unit = 1u32 << (3 * axis);
+            let inverse = ONE / direction.abs();
+            let to_face;
+            if direction > 0.0 {
+                walk.step[axis] = (!window.masks[axis]).wrapping_add(unit);
+                to_face = 1.0 - fraction;
+            } else {
+                walk.step[axis] = unit.wrapping_neg();
+                to_face = fraction;
             }
+            // A direction of zero gives an infinite inverse, and 0 · ∞ is not a number: `min` takes the
+            // other.
+            walk.next[axis] = ((to_face * inverse).min(NEVER) + 0.5) as i32;
+            walk.delta[axis] = (inverse.min(NEVER) + 0.5) as i32;
         }
-    }
-
-    /// Where in the pools the counts of a place are; takes a new block from them at the first touch.
-    #[inline(always)]
-    fn slot(&mut self, place: u32) -> usize {
-        let block = (place >> 9) as usize;
-        let mut slot = self.table[block];
-        if slot == 0 {
-            slot = self.touch(block);
-        }
-        slot as usize + (place & 511) as usize
-    }
-
-    #[cold]
-    #[inline(never)]
-    fn touch(&mut self, block: usize) -> u32 {
-        let slot = (self.touched.len() + 1) * BLOCK_VOXELS;
-        extend(&mut self.misses, slot | (BLOCK_VOXELS - 1));
-        grow(&mut self.touched, slot / BLOCK_VOXELS);
-        self.touched.push(block as u32);
-        self.table[block] = slot as u32;
-        slot as u32
-    }
-}
-
-/// Makes a pool reach up to this place, with zeros.
-fn extend(pool: &mut Vec<u16>, last: usize) {
-    if pool.len() <= last {
-        grow(pool, last + 1);
-        pool.resize(last + 1, 0);
-    }
-}
-
-/// Makes room for so many, a quarter more than there was at a time: lists of a scan are large, and twice of
-/// what is used would be waste.
-pub(super) fn grow<T>(list: &mut Vec<T>, needed: usize) {
-    let capacity = list.capacity();
-    if capacity < needed {
-        list.reserve_exact(needed.max(capacity + capacity / 4) - list.len());
+        walk
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bit_of;
+    use crate::BLOCK_VOXELS;
     use proptest::prelude::*;
     use std::collections::HashMap;
 
-    fn counts(start: [f64; 3], rays: &[Ray]) -> HashMap<Voxel, (u16, u16)> {
-        let mut counts = RayCounts::default();
-        // Used before, as it is from the second scan on.
-        counts.cast([0.5; 3], &[Ray { end: [40.0, 3.0, -9.0], is_hit: true }]);
-        counts.blocks().for_each(TouchedBlock::clear);
-        counts.cast(start, rays);
+    fn counts(start: [f64; 3], rays: &[([f64; 3], bool)]) -> HashMap<Voxel, (u16, u16)> {
+        let mut cast = Rays::<Pool<[u16; BLOCK_VOXELS]>>::new(3);
         let mut found = HashMap::new();
-        for block in counts.blocks() {
-            let corner = block.index.corner();
-            for bit in 0..BLOCK_VOXELS {
-                let hits = block.hits.as_ref().map_or(0, |hits| hits[bit]);
-                if (block.misses[bit], hits) != (0, 0) {
-                    let [x, y, z] = bit_of(bit);
-                    let voxel = Voxel::new(corner.x + x, corner.y + y, corner.z + z);
-                    found.insert(voxel, (block.misses[bit], hits));
-                }
+        // Used before, as it is from the second scan on.
+        for (start, rays) in [([0.5; 3], &[([40.0, 3.0, -9.0], true)][..]), (start, rays)] {
+            found.clear();
+            cast.used = 3;
+            for (n, share) in cast.shares.iter_mut().enumerate() {
+                share.rays.clear();
+                let own = rays.iter().skip(n).step_by(3);
+                share.rays.extend(own.map(|&(end, is_hit)| Ray::new(voxel_of(start), end, is_hit)));
             }
-            block.clear();
+            cast.cast(start);
+            for (place, index) in cast.touched() {
+                let (misses, hits) = cast.counts(place);
+                let hits = hits.unwrap_or([0; BLOCK_VOXELS]);
+                let counts = (0..BLOCK_VOXELS).map(|bit| (index.voxel(bit), (misses[bit], hits[bit])));
+                found.extend(counts.filter(|(_, counts)| *counts != (0, 0)));
+            }
         }
         found
     }
@@ -455,7 +424,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_ray_visits_just_the_voxels_that_it_passes(start in point(), end in point()) {
-            let found = counts(start, &[Ray { end, is_hit: true }]);
+            let found = counts(start, &[(end, true)]);
             let last = voxel_of(end);
             let first = voxel_of(start);
             for (voxel, (misses, hits)) in &found {
@@ -472,7 +441,6 @@ mod tests {
         fn many_rays_count_as_the_sum_of_each(
             start in point(), rays in prop::collection::vec((point(), any::<bool>()), 1..60),
         ) {
-            let rays: Vec<Ray> = rays.into_iter().map(|(end, is_hit)| Ray { end, is_hit }).collect();
             let mut expected: HashMap<Voxel, (u16, u16)> = HashMap::new();
             for ray in &rays {
                 for (voxel, (misses, hits)) in counts(start, &[*ray]) {
@@ -487,12 +455,12 @@ mod tests {
 
     #[test]
     fn rays_along_an_axis_and_within_one_voxel() {
-        let along = counts([0.5; 3], &[Ray { end: [3.5, 0.5, 0.5], is_hit: false }]);
+        let along = counts([0.5; 3], &[([3.5, 0.5, 0.5], false)]);
         assert_eq!(along.len(), 3);
         assert!((0..3).all(|x| along[&Voxel::new(x, 0, 0)] == (1, 0)));
-        let within = counts([0.2; 3], &[Ray { end: [0.8; 3], is_hit: true }]);
+        let within = counts([0.2; 3], &[([0.8; 3], true)]);
         assert_eq!(within, HashMap::from([(Voxel::new(0, 0, 0), (0, 1))]));
-        let back = counts([3.0, 0.5, 0.5], &[Ray { end: [0.5, 0.5, 0.5], is_hit: true }]);
+        let back = counts([3.0, 0.5, 0.5], &[([0.5, 0.5, 0.5], true)]);
         assert_eq!(back.len(), 4);
     }
 }

@@ -31,7 +31,7 @@ impl Mapper {
         if self.submaps.current.number() < 2 {
             return false;
         }
-        let block = self.blocks.get(&index);
+        let block = self.blocks.get(index);
         block.is_some_and(|block| is_over(block.submap, self.submaps.current) && block.changes().is_empty())
     }
 
@@ -44,7 +44,7 @@ impl Mapper {
         report: &mut ScanReport,
         change: impl FnOnce(&mut MapBlock) -> Plane,
     ) -> bool {
-        let Some(block) = self.blocks.get_mut(&index) else { return true };
+        let Some(block) = self.blocks.get_mut(index) else { return true };
         let mut seen_again = block.clone();
         let touched = change(&mut seen_again);
         if seen_again.states() == block.states() {
@@ -57,7 +57,7 @@ impl Mapper {
         let next = Sheet::new(block.sheet.number() + 1).filter(|sheet| sheet.block(index).is_some());
         if let Some(sheet) = next {
             report.moved.push(block.at(index));
-            **block = MapBlock::new(sheet, self.submaps.current);
+            *block = MapBlock::new(sheet, self.submaps.current);
             self.submaps.begun_anew += 1;
         }
         true
@@ -75,12 +75,12 @@ impl Mapper {
 
     /// The submap with which a block moves, and the sheet on which it is published.
     pub fn place_of(&self, index: BlockIndex) -> Option<(SubmapId, Sheet)> {
-        self.blocks.get(&index).map(|block| (block.submap, block.sheet))
+        self.blocks.get(index).map(|block| (block.submap, block.sheet))
     }
 
     /// The indices of all blocks, in no order.
     pub(crate) fn indices(&self) -> impl Iterator<Item = BlockIndex> {
-        self.blocks.keys().copied()
+        self.blocks.iter().map(|(index, _)| index)
     }
 }
 
@@ -105,6 +105,6 @@ impl OwnBlocks<'_> {
     }
 
     fn find(&self, index: BlockIndex) -> Option<&MapBlock> {
-        self.mapper.blocks.get(&index).map(Box::as_ref).filter(|block| block.submap == self.submap)
+        self.mapper.blocks.get(index).filter(|block| block.submap == self.submap)
     }
 }

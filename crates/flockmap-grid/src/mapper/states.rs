@@ -35,7 +35,7 @@ impl Mapper {
         touched.retain(|index| {
             let (states, mask) = said.within(*index, self.block(*index));
             // What was never known cannot be taken back.
-            let is_touched = mask != [0; 8] && (!states.is_empty() || self.blocks.contains_key(index));
+            let is_touched = mask != [0; 8] && (!states.is_empty() || self.blocks.contains(*index));
             if is_touched && update.sensor.is_none() {
                 middle.add(*index, &mask);
             }

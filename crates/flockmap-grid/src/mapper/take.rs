@@ -48,7 +48,7 @@ impl Mapper {
     /// How many changes there are to take, but for voxels that have become Free and are in `except_free` of
     /// their block. O(blocks with changes).
     pub fn count_changes(&self, which: Which, except_free: impl Fn(BlockIndex) -> Plane) -> usize {
-        let blocks = self.pending_blocks.keys().filter_map(|index| Some((*index, self.blocks.get(index)?)));
+        let blocks = self.pending_blocks.keys().filter_map(|index| Some((*index, self.blocks.get(*index)?)));
         blocks
             .map(|(index, block)| which.of(&block.changes(), except_free(index)).known_count() as usize)
             .sum()
@@ -64,7 +64,7 @@ impl Mapper {
         let (mut taken, mut voxels, mut is_cut) = (Vec::with_capacity(blocks.len()), 0, false);
         for index in blocks {
             let Some(known) = self.pending_blocks.get_mut(&index) else { continue };
-            let Some(block) = self.blocks.get_mut(&index) else {
+            let Some(block) = self.blocks.get_mut(index) else {
                 self.pending_blocks.remove(&index);
                 continue;
             };
