@@ -1,24 +1,23 @@
 //! `flockmap-bench mapping`: the mapper beside OctoMap, on the same scans in the same run.
 
 use flockmap_cli::outputs;
-use std::io::{BufRead, BufReader, Write};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+mod octomap;
+
+use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Context, anyhow, bail, ensure};
+use anyhow::{bail, ensure};
 use clap::Args;
-use flockmap::codec::bytes::Reader;
 use flockmap::grid::Mapper;
-use flockmap::{Changes, MapperConfig, Preset, State, Voxel};
+use flockmap::{Changes, MapperConfig, Preset, Resolution, Robot, RobotConfig, RobotId, Stamp, State};
 use flockmap_cli::document::DataTable;
 use flockmap_cli::measure::{Comparison, TimeSummary, Times, side_by_side};
 use flockmap_cli::numbers::{percent, thousands};
 use flockmap_cli::options::{SourceArgs, resolution};
-use flockmap_cli::progress::Progress;
 use flockmap_cli::sources::{self, Frame};
 use flockmap_cli::{json_file, stop};
 use flockmap_worlds::Lidar;
+use octomap::Octomap;
 use serde::Serialize;
 
 /// The mapper beside OctoMap, on the same scans
@@ -26,10 +25,12 @@ use serde::Serialize;
 #[command(after_help = "\
 Example:
   flockmap-bench mapping --scans 40
+  flockmap-bench mapping --lidar os128 --range 20 --scans 10 --threads 1,2 --runs 5
+  flockmap-bench mapping --scene walk.mcap --resolution 0.2 --range 30
 
 Needs a C++ compiler and Debian's liboctomap-dev for the OctoMap half; without them that half is skipped, and the output says why.")]
 pub struct MappingArgs {
-    /// World to fly through: forest, indoor, or a world file
+    /// World to fly through: forest, indoor, or a world file; or a record
     #[arg(long, value_name = "SCENE", default_value = "forest")]
     pub scene: PathBuf,
     /// Scans to map
@@ -41,18 +42,23 @@ pub struct MappingArgs {
     /// Rays longer than this many metres are cut there
     #[arg(long, value_name = "M", default_value_t = 7.0)]
     pub range: f64,
-    /// LiDAR: mid360 or avia
+    /// LiDAR of the flight: mid360, avia or os128
     #[arg(long, value_name = "NAME", default_value_t = Lidar::Mid360)]
     pub lidar: Lidar,
     /// Seed of the world and of the flight
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
+    /// Threads that take in a scan together, a row for each number
+    #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [1, 2])]
+    pub threads: Vec<usize>,
+    /// Runs of each mapper: the one with the median time is shown. Every other run goes in the opposite order
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub runs: usize,
     /// Write the table as JSON
     #[arg(long, value_name = "FILE", value_parser = outputs::file())]
     pub json: Option<PathBuf>,
 }
 
-const OCTOMAP_SOURCE: &str = include_str!("octomap_bench.cpp");
 /// How far the simulated LiDAR sees.
 const LIDAR_RANGE_M: f64 = 30.0;
 
@@ -63,6 +69,7 @@ struct Output {
     resolution_m: f64,
     range_m: f64,
     scans: usize,
+    runs: usize,
     rays_per_scan: f64,
     mappers: Vec<Row>,
     /// Why OctoMap did not take part.
@@ -74,7 +81,7 @@ struct Output {
 struct Row {
     name: String,
     time: TimeSummary,
-    /// How many times faster than OctoMap, by the mean.
+    /// How many times faster than OctoMap, by the median.
     faster: Option<f64>,
     free: usize,
     occupied: usize,
@@ -97,9 +104,17 @@ struct Differences {
     only_there: u64,
 }
 
-/// A mapper's result.
+/// Who makes a map.
+#[derive(Clone, Copy)]
+enum Contestant<'a> {
+    Mapper(Preset, usize),
+    /// A whole robot, with the map that it fuses; without what it does between scans.
+    Robot(Preset, usize),
+    Octomap(&'a Octomap),
+}
+
+/// What came of a run.
 struct Mapped {
-    name: String,
     times: Times,
     map: Changes,
     memory_bytes: usize,
@@ -109,28 +124,50 @@ struct Mapped {
 pub fn run(args: &MappingArgs) -> anyhow::Result<bool> {
     let resolution = resolution("--resolution", args.resolution)?;
     ensure!((1..=100_000).contains(&args.scans), "--scans is {}, expected 1 to 100,000", args.scans);
+    ensure!((1..=1_000).contains(&args.runs), "--runs is {}, expected 1 to 1,000", args.runs);
     let frames = fly(args)?;
     let rays: usize = frames.iter().map(|frame| frame.scan.points.len() + frame.scan.no_returns.len()).sum();
-    let mut results = Vec::new();
-    for preset in [Preset::RogMap, Preset::Racer, Preset::OctoMap] {
-        let config = MapperConfig::preset(preset, resolution, args.range);
-        results.push(map(&frames, preset.to_string(), config)?);
-    }
-    let octomap = run_octomap(&frames, args);
+    let octomap = Octomap::new(&frames);
     let octomap_skipped = octomap.as_ref().err().map(|reason| format!("{reason:#}"));
-    let octomap = octomap.ok();
-    let differences =
-        octomap.as_ref().zip(results.last()).map(|(octomap, ours)| compare(&ours.map, &octomap.map));
-    let octomap_ms = octomap.as_ref().map(|mapped| mapped.times.summary().mean_ms);
-    results.extend(octomap);
+    let presets = [Preset::RogMap, Preset::Racer, Preset::OctoMap];
+    let of = |preset| args.threads.iter().map(move |threads| Contestant::Mapper(preset, *threads));
+    let robots = args.threads.iter().map(|threads| Contestant::Robot(Preset::OctoMap, *threads));
+    let contestants = presets.into_iter().flat_map(of).chain(robots);
+    let contestants: Vec<Contestant<'_>> =
+        contestants.chain(octomap.as_ref().ok().map(Contestant::Octomap)).collect();
+
+    let mut runs: Vec<Vec<Mapped>> = contestants.iter().map(|_| Vec::new()).collect();
+    for number in 0..args.runs {
+        let mut order: Vec<usize> = (0..contestants.len()).collect();
+        if number % 2 == 1 {
+            order.reverse();
+        }
+        for at in order {
+            runs[at].push(contestants[at].run(&frames, args, resolution)?);
+            if stop::requested() {
+                bail!("ended by Ctrl-C");
+            }
+        }
+    }
+    let results: Vec<Mapped> = runs.into_iter().filter_map(median).collect();
+    let maps = || contestants.iter().zip(&results);
+    for (who, mapped) in maps() {
+        let first = maps().find(|(other, _)| other.preset() == who.preset()).map(|(_, first)| &first.map);
+        ensure!(first == Some(&mapped.map), "{} makes another map than with other threads", who.name());
+    }
+    let of_octomap = maps().find(|(who, _)| who.preset().is_none()).map(|(_, mapped)| mapped);
+    let ours = maps().find(|(who, _)| who.preset() == Some(Preset::OctoMap)).map(|(_, mapped)| mapped);
+    let differences = of_octomap.zip(ours).map(|(octomap, ours)| compare(&ours.map, &octomap.map));
+    let octomap_ms = of_octomap.map(|mapped| mapped.times.summary().median_ms);
     let output = Output {
         scene: args.scene.display().to_string(),
         lidar: args.lidar.to_string(),
         resolution_m: args.resolution,
         range_m: args.range,
         scans: frames.len(),
+        runs: args.runs,
         rays_per_scan: rays as f64 / frames.len().max(1) as f64,
-        mappers: results.into_iter().map(|mapped| mapped.row(octomap_ms)).collect(),
+        mappers: maps().map(|(who, mapped)| mapped.row(who, octomap_ms)).collect(),
         octomap_skipped,
         differences,
     };
@@ -139,7 +176,16 @@ pub fn run(args: &MappingArgs) -> anyhow::Result<bool> {
     Ok(true)
 }
 
+/// The run with the median time.
+fn median(mut runs: Vec<Mapped>) -> Option<Mapped> {
+    runs.sort_by(|a, b| a.times.summary().median_ms.total_cmp(&b.times.summary().median_ms));
+    let middle = (runs.len().max(1) - 1) / 2;
+    runs.into_iter().nth(middle)
+}
+
+/// The scans of a flight, or of a record.
 fn fly(args: &MappingArgs) -> anyhow::Result<Vec<Frame>> {
+    let is_world = sources::check_scene(&args.scene).is_ok();
     let source = SourceArgs {
         lidar: args.lidar,
         lidar_range: Some(LIDAR_RANGE_M),
@@ -147,114 +193,88 @@ fn fly(args: &MappingArgs) -> anyhow::Result<Vec<Frame>> {
         no_returns: true,
         seed: args.seed,
         robots: 1,
-        seconds: Some((args.scans as f64 / 10.0).max(0.1)),
+        seconds: is_world.then_some((args.scans as f64 / 10.0).max(0.1)),
         ..SourceArgs::default()
     };
-    sources::check_scene(&args.scene)?;
     let flight = sources::open(std::slice::from_ref(&args.scene), &source, args.range, false)?;
     let frames: Vec<Frame> =
         flight.robots.into_iter().flat_map(|robot| robot.frames).take(args.scans).collect();
-    ensure!(!frames.is_empty(), "the flight has no scan");
+    ensure!(!frames.is_empty(), "{} has no scan", args.scene.display());
     Ok(frames)
 }
 
-fn map(frames: &[Frame], name: String, config: MapperConfig) -> anyhow::Result<Mapped> {
-    let mut mapper = Mapper::new(config)?;
-    let mut times = Times::default();
-    for frame in frames {
-        let started = Instant::now();
-        mapper.insert(&frame.scan, &frame.pose, &[]);
-        times.add(started.elapsed());
+impl Contestant<'_> {
+    /// Whose map it makes; `None`: its own.
+    const fn preset(&self) -> Option<Preset> {
+        match self {
+            Self::Mapper(preset, _) | Self::Robot(preset, _) => Some(*preset),
+            Self::Octomap(_) => None,
+        }
     }
-    let map = Changes::from_blocks(mapper.blocks().map(|(index, block)| (index, *block)).collect());
-    Ok(Mapped { name, times, map, memory_bytes: mapper.memory_bytes() })
+
+    fn name(&self) -> String {
+        let counted = |threads: usize| format!("{threads} thread{}", if threads == 1 { "" } else { "s" });
+        match self {
+            Self::Mapper(preset, threads) => format!("{preset}, {}", counted(*threads)),
+            Self::Robot(preset, threads) => format!("whole robot, {preset}, {}", counted(*threads)),
+            Self::Octomap(_) => "OctoMap insertPointCloud".to_owned(),
+        }
+    }
+
+    fn run(&self, frames: &[Frame], args: &MappingArgs, resolution: Resolution) -> anyhow::Result<Mapped> {
+        let config = |preset, threads| MapperConfig {
+            threads,
+            ..MapperConfig::preset(preset, resolution, args.range)
+        };
+        let mut times = Times::default();
+        match *self {
+            Self::Mapper(preset, threads) => {
+                let mut mapper = Mapper::new(config(preset, threads))?;
+                for frame in frames {
+                    let started = Instant::now();
+                    mapper.insert(&frame.scan, &frame.pose, &[]);
+                    times.add(started.elapsed());
+                }
+                Ok(Mapped { times, map: map_of(&mapper), memory_bytes: mapper.memory_bytes() })
+            }
+            Self::Robot(preset, threads) => {
+                let mut options = RobotConfig::new(RobotId(1), resolution, args.range);
+                options.mapper = config(preset, threads);
+                let mut robot = Robot::new(options, Stamp(0))?;
+                for frame in frames {
+                    let started = Instant::now();
+                    robot.insert_scan(frame.scan.stamp, &frame.scan, &frame.pose)?;
+                    times.add(started.elapsed());
+                    robot.handle_timeout(frame.scan.stamp);
+                    while robot.poll_event().is_some() {}
+                }
+                let memory_bytes = robot.mapper().memory_bytes();
+                Ok(Mapped { times, map: map_of(robot.mapper()), memory_bytes })
+            }
+            Self::Octomap(octomap) => octomap.run(args.resolution, args.range),
+        }
+    }
+}
+
+fn map_of(mapper: &Mapper) -> Changes {
+    Changes::from_blocks(mapper.blocks().map(|(index, block)| (index, *block)).collect())
 }
 
 impl Mapped {
-    fn row(self, octomap_ms: Option<f64>) -> Row {
+    fn row(&self, who: &Contestant<'_>, octomap_ms: Option<f64>) -> Row {
         let time = self.times.summary();
         let occupied = self.map.voxels().filter(|(_, state)| *state == State::Occupied).count();
         let known = self.map.len();
         Row {
-            name: self.name,
+            name: who.name(),
             time,
-            faster: octomap_ms.map(|ms| ms / time.mean_ms.max(1e-9)),
+            faster: octomap_ms.map(|ms| ms / time.median_ms.max(1e-9)),
             free: known - occupied,
             occupied,
             memory_bytes: self.memory_bytes,
             bytes_per_voxel: self.memory_bytes as f64 / known.max(1) as f64,
         }
     }
-}
-
-/// Compiles OctoMap's half and runs it on the same scans. An error is the reason why it cannot take part.
-fn run_octomap(frames: &[Frame], args: &MappingArgs) -> anyhow::Result<Mapped> {
-    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
-    let path = |name: &str| folder.path().join(name);
-    std::fs::write(path("octomap_bench.cpp"), OCTOMAP_SOURCE)?;
-    let compiled = Command::new("c++")
-        .args(["-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-o"])
-        .arg(path("octomap_bench"))
-        .arg(path("octomap_bench.cpp"))
-        .args(["-loctomap", "-loctomath"])
-        .output();
-    let compiled = compiled.map_err(|error| anyhow!("there is no C++ compiler `c++` ({error})"))?;
-    if !compiled.status.success() {
-        let text = String::from_utf8_lossy(&compiled.stderr);
-        if text.contains("octomap/octomap.h") || text.contains("-loctomap") {
-            bail!("liboctomap-dev is not installed");
-        }
-        bail!("its program does not compile: {}", text.lines().next().unwrap_or_default());
-    }
-    write_scans(&path("scans.bin"), frames)?;
-    let mut running = Command::new(path("octomap_bench"))
-        .args([path("scans.bin"), path("map.bin")])
-        .args([args.resolution.to_string(), args.range.to_string()])
-        .stdout(Stdio::piped())
-        .spawn()
-        .context("its program does not run")?;
-    let progress = Progress::new("OctoMap: scans", frames.len() as u64);
-    let (mut times, mut memory_bytes) = (Times::default(), 0);
-    for line in BufReader::new(running.stdout.take().context("its output is gone")?).lines() {
-        let line = line?;
-        match line.split_once(' ') {
-            Some(("scan", ms)) => times.0.push(ms.parse()?),
-            Some(("memory", bytes)) => memory_bytes = bytes.parse()?,
-            _ => bail!("its program says \"{line}\""),
-        }
-        progress.step();
-        if stop::requested() {
-            running.kill()?;
-            running.wait()?;
-            bail!("ended by Ctrl-C");
-        }
-    }
-    ensure!(running.wait()?.success(), "its program failed");
-    let dump = std::fs::read(path("map.bin"))?;
-    let mut reader = Reader::new(&dump);
-    let voxels = std::iter::from_fn(|| {
-        let [x, y, z] = [reader.u32()?, reader.u32()?, reader.u32()?].map(|index| index as i32);
-        Some((Voxel::new(x, y, z), if reader.u8()? == 1 { State::Occupied } else { State::Free }))
-    });
-    let name = "OctoMap insertPointCloud".to_owned();
-    Ok(Mapped { name, times, map: Changes::from_voxels(voxels), memory_bytes })
-}
-
-/// Scans as OctoMap takes them: points in the map's frame, as `f32`.
-fn write_scans(path: &Path, frames: &[Frame]) -> anyhow::Result<()> {
-    let mut out = std::io::BufWriter::new(std::fs::File::create(path)?);
-    out.write_all(&(frames.len() as u32).to_le_bytes())?;
-    for frame in frames {
-        let bytes = |point: [f64; 3]| point.map(|v| (v as f32).to_le_bytes()).concat();
-        out.write_all(&bytes(frame.pose.translation()))?;
-        out.write_all(&((frame.scan.points.len() + frame.scan.no_returns.len()) as u32).to_le_bytes())?;
-        // OctoMap cuts what lies beyond the range by itself.
-        for point in frame.scan.points.iter().chain(&frame.scan.no_returns) {
-            out.write_all(&bytes(frame.pose.transform(point.map(f64::from))))?;
-        }
-    }
-    out.flush()?;
-    Ok(())
 }
 
 fn compare(ours: &Changes, theirs: &Changes) -> Differences {
@@ -295,7 +315,7 @@ fn print(output: &Output) {
     );
     print!("{table}");
     println!(
-        "\n  Each scan inserted on one core; the first ones meet an empty map. Bytes of the map for each voxel with a state."
+        "\n  The first scans meet an empty map. Of each mapper the run with the median time. Bytes of the map for each voxel with a state."
     );
     if let Some(reason) = &output.octomap_skipped {
         println!("  OctoMap skipped: {reason}");

@@ -109,6 +109,7 @@ impl Mapper {
 impl Part<'_, '_> {
     fn update<T: Tallies>(&mut self, rays: &Rays<T>, rules: &Rules, number: u16) {
         self.touched.reserve_exact(self.work.len());
+        self.changed.reserve_exact(self.work.len());
         for Work { index, place, block } in &mut *self.work {
             let before = *block.states();
             let (misses, hits) = rays.counts(*place);

@@ -6,6 +6,9 @@ use crate::Resolution;
 /// units.
 pub const LOG_ODDS_UNITS_PER_NAT: f64 = 1024.0;
 
+/// Most threads that take in a scan.
+const THREADS_MAX: usize = 64;
+
 /// Rules and values of a known mapper.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
@@ -81,13 +84,15 @@ pub struct MapperConfig {
     /// frame, in metres (RACER: 0.2, so that the ground is not cleared by rays which never reached it).
     pub drop_cut_rays_below_m: Option<f64>,
     /// The blocks of the map and their tables are kept within this many bytes, also while a scan is taken in,
-    /// by forgetting those farthest from the sensor: 2.5 kB a block at most. What scans need comes on top and
-    /// is kept for the next one: for each block of 8³ voxels that the largest scan so far touched 1.3 kB, and
-    /// as much again if rays end in it (for a moment 3.9 kB in all, while lists grow); and 88 bytes for each
-    /// of its points (for a moment 144). The worst case is [`Self::memory_max`]. Default 512 MiB.
+    /// by forgetting those farthest from the sensor: 2.6 kB a block at most. What scans need comes on top and
+    /// is kept for the next one: 36 bytes for each point, and for each thread the counts. Where a voxel changes once a scan,
+    /// those are 68 bytes for each block of 8³ voxels within reach of the rays, and 80 where rays end; else 640 for each
+    /// that is touched, and 640 where rays end (twice that where more than 255 rays count). For a moment, 0.9 kB a block
+    /// and as much again of points and counts while lists grow. The worst case is [`Self::memory_max`]. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "memory_mb", with = "crate::units::Mebibytes"))]
     pub memory_bytes_max: usize,
-    /// Threads that take in a scan together; the map does not depend on it. 1 to 64; default 1: no thread is made.
+    /// Threads that take in a scan together, one for each 4,096 points at most. 1 to 64; default 1: none is made. The map
+    /// does not depend on it.
     pub threads: usize,
 }
 
@@ -162,6 +167,9 @@ pub enum ConfigError {
         /// What would work.
         expected: String,
     },
+    /// There are no threads, or too many.
+    #[error("threads is {0}, expected 1 to {THREADS_MAX}")]
+    Threads(usize),
     /// The update box has an extent that is not positive.
     #[error("update_box_m is {0:?}, expected three half extents in metres, each above 0")]
     UpdateBox([f64; 3]),
@@ -191,6 +199,9 @@ impl MapperConfig {
         let max_m = 500.0 * self.resolution.metres();
         if !(self.range_m > 0.0 && self.range_m <= max_m) {
             return Err(ConfigError::Range { range_m: self.range_m, max_m, resolution: self.resolution });
+        }
+        if !(1..=THREADS_MAX).contains(&self.threads) {
+            return Err(ConfigError::Threads(self.threads));
         }
         if let Some(half) = self.update_box_m
             && !half.iter().all(|h| *h > 0.0)

@@ -2,19 +2,20 @@
 
 use super::block::MapBlock;
 use super::config::MapperConfig;
-use super::rays::Ray;
+use super::rays::{Ray, TURN};
 use super::submaps::MovedBlock;
-use crate::{BLOCK_SIDE, BlockIndex, Plane, Stamp, StateBlock};
+use crate::{BLOCK_SIDE, BLOCK_VOXELS, BlockIndex, Plane, Stamp, StateBlock};
 
 /// The most bytes that one block of the map takes of the byte cap: itself, and its places in the table of
 /// blocks and in that of blocks with changes. A table is filled to no less than 7/32 while blocks come and
 /// go.
 pub const MAP_BLOCK_BYTES: usize =
     size_of::<MapBlock>() + LISTED_BYTES * 9 / 4 + (ENTRY_BYTES + 1 + PENDING_BYTES + 1) * 32 / 7;
-/// What a scan can take for a moment, for each block that it touches: the counts of the rays that pass and of
-/// those that end, each list a quarter too large and moved to a new place while it grows; its number and its
-/// place in the window; what is reported of it, and what is forgotten for it.
-const SCAN_BLOCK_BYTES: usize = (2 * 1_024 * 5 / 4 + 1_024) + 12 + 48 + REPORT_BYTES + FORGET_BYTES;
+/// What a scan can take for a moment, for each block that it touches, beside the counts: its numbers and places, the
+/// work that it is, and what is reported of it, by the thread that updates it and by the scan.
+const SCAN_BLOCK_BYTES: usize = 16 + 24 + 32 + (2 * REPORT_BYTES + 4) + FORGET_BYTES;
+/// For each thread: the numbers of blocks in lists that double.
+const NUMBERS_BYTES: usize = 4 * 3 * size_of::<u32>();
 /// In the report.
 const REPORT_BYTES: usize =
     size_of::<(BlockIndex, Plane)>() + size_of::<(BlockIndex, StateBlock)>() + MOVED_BYTES;
@@ -22,9 +23,10 @@ const REPORT_BYTES: usize =
 const FORGET_BYTES: usize = size_of::<FarKey>() + size_of::<BlockIndex>() + MOVED_BYTES;
 /// In the list of blocks that were in another submap; moved to a new place while it grows.
 const MOVED_BYTES: usize = 3 * size_of::<MovedBlock>();
-/// For each of its points: the ray, and the ray ready to walk, which is moved to a new place when a larger
-/// scan comes.
-const POINT_BYTES: usize = size_of::<Ray>() + 2 * 56;
+/// For each of its points: the ray, and its place in the order; each is made anew when a larger scan comes.
+const POINT_BYTES: usize = 2 * (size_of::<Ray>() + size_of::<u32>());
+/// For each thread: points that it takes more than another one, and how many rays there are of each length.
+const THREAD_BYTES: usize = 2 * TURN * POINT_BYTES + 2 * 1_501 * size_of::<u32>();
 /// Stamps of scans, as long as voxels refer to them; moved to a new place while the list grows.
 const SCAN_STAMPS_BYTES: usize = (1 << 16) * size_of::<Stamp>() * 3 / 2;
 
@@ -47,8 +49,20 @@ impl MapperConfig {
         // at a face.
         let side =
             (2.0 * self.range_m / self.resolution.metres() / f64::from(BLOCK_SIDE)).ceil() as usize + 2;
+        let (blocks, window) = (side.saturating_pow(3), side.next_power_of_two().saturating_pow(3));
+        // Of rays that pass and of rays that end: a list a quarter too large, moved to a new place while it grows.
+        let in_lists = |bytes: usize| (blocks.saturating_mul(2 * bytes * 9 / 4), 2 * size_of::<u32>());
+        let (lists, of_window) = match self.rules().map(|rules| rules.rays_max) {
+            Ok(0..=1) => (blocks * 64 * 9 / 4, 64 + size_of::<u32>()),
+            Ok(2..=255) => in_lists(BLOCK_VOXELS),
+            _ => in_lists(2 * BLOCK_VOXELS),
+        };
+        let of_thread = lists
+            .saturating_add(window.saturating_mul(of_window))
+            .saturating_add(blocks.saturating_mul(NUMBERS_BYTES) + THREAD_BYTES);
         self.memory_bytes_max.max(MAP_BLOCK_BYTES)
-            + side.saturating_pow(3).saturating_mul(SCAN_BLOCK_BYTES)
+            + blocks.saturating_mul(SCAN_BLOCK_BYTES)
+            + of_thread.saturating_mul(self.threads)
             + self.blocks_max() * FORGET_BYTES
             + points.saturating_mul(POINT_BYTES)
             + SCAN_STAMPS_BYTES

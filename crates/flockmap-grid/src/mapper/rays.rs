@@ -15,7 +15,7 @@ use crate::{BlockIndex, Voxel};
 use fearless_simd::{Level, dispatch};
 
 /// Points that one thread takes before another one's turn.
-const TURN: usize = 256;
+pub(super) const TURN: usize = 256;
 
 /// Times along a ray are whole numbers: this is the end of the ray.
 const ONE: f64 = (1u32 << 29) as f64;
