@@ -32,7 +32,7 @@ pub use fusion::{Dropped, Fusion, FusionConfig, FusionError, MapView, RayEnd};
 pub use layer::{BaseSuperseded, DiscardedLayer, LAYER_BLOCK_BYTES_MAX, Layer, SnapshotReader};
 pub use mapper::{
     ConfigError, LOG_ODDS_UNITS_PER_NAT, MAP_BLOCK_BYTES, Mapper, MapperConfig, MovedBlock, Preset,
-    ScanReport, Sphere, Which,
+    RaysWalked, ScanReport, Sphere, Which,
 };
 pub use origin::{RobotId, Stamp, Stream, epoch, seconds_of_epoch};
 pub use pose::{Pose, PoseError};

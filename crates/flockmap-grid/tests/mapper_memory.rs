@@ -2,8 +2,8 @@
 //! than it states.
 
 use flockmap_grid::{
-    Mapper, MapperConfig, Pose, Preset, Resolution, Scan, Stamp, State, States, StatesUpdate, Voxel,
-    VoxelBox, Which,
+    Mapper, MapperConfig, Pose, Preset, RaysWalked, Resolution, Scan, Stamp, State, States, StatesUpdate,
+    Voxel, VoxelBox, Which,
 };
 use peak_alloc::PeakAlloc;
 
@@ -22,8 +22,13 @@ fn sphere(points: usize, radius: f64, stamp: i64) -> Scan {
 }
 
 fn config(memory_bytes_max: usize, range_m: f64) -> MapperConfig {
+    of_preset(Preset::RogMap, 1, memory_bytes_max, range_m)
+}
+
+fn of_preset(preset: Preset, threads: usize, memory_bytes_max: usize, range_m: f64) -> MapperConfig {
     let resolution = Resolution::from_metres(0.1).unwrap();
-    MapperConfig { memory_bytes_max, ..MapperConfig::preset(Preset::RogMap, resolution, range_m) }
+    let rays = if threads == 2 { RaysWalked::OnePerEndVoxel } else { RaysWalked::All };
+    MapperConfig { memory_bytes_max, threads, rays, ..MapperConfig::preset(preset, resolution, range_m) }
 }
 
 /// Inserts scans one after the other; returns what was held afterwards and the most meanwhile. Reports are
@@ -45,27 +50,39 @@ fn held(mapper: &mut Mapper, scans: &[Scan], step_m: f64) -> (usize, usize, usiz
 #[test]
 fn a_mapper_takes_what_it_states_also_while_a_scan_is_taken_in() {
     // Far more than may be held: a mebibyte, of a scan that touches nearly all within its range.
+    let rules =
+        [Preset::RogMap, Preset::OctoMap].into_iter().flat_map(|preset| [1, 2, 3].map(|n| (preset, n)));
+    let rules: Vec<(Preset, usize)> = rules.collect();
     for (range, points) in [(8.0, 40_000), (20.0, 150_000)] {
-        let config = config(1 << 20, range);
         let scans: Vec<Scan> = (1..4).map(|stamp| sphere(points, range * 0.99, stamp)).collect();
-        let before = ALLOCATOR.current_usage();
-        let mut mapper = Mapper::new(config.clone()).unwrap();
-        let (blocks, after, peak) = held(&mut mapper, &scans[..1], 0.0);
-        let (after, peak) = (after - before, peak - before);
-        assert!(peak <= config.memory_max(points), "{peak} bytes, {} stated", config.memory_max(points));
-        assert!(mapper.memory_bytes() <= 1 << 20, "{}", mapper.memory_bytes());
-        // What the documentation says of each block and point, by the blocks that were really touched.
-        assert!(peak <= (1 << 20) + blocks * 3_900 + points * 144, "{peak} bytes for {blocks} blocks");
-        assert!(after <= (1 << 20) + blocks * 2_600 + points * 88, "{after} bytes for {blocks} blocks");
-        println!("range {range} m: {blocks} blocks, {peak} bytes at the peak, {after} after");
-        // In the open few rays end in a block: half of that.
-        let (of_peak, of_rest) =
-            (peak - points * 88 - (1 << 20), after - points * 88 - mapper.memory_bytes());
-        println!("  {} bytes a block at the peak, {} after", of_peak / blocks, of_rest / blocks);
-        assert!(of_rest / blocks <= 2_000 && of_peak / blocks <= 3_000);
-        // The next ones take nothing more.
-        let (_, again, _) = held(&mut mapper, &scans[1..], 0.0);
-        assert!(again - before <= after + (64 << 10), "{} bytes after {after}", again - before);
+        for &(preset, threads) in &rules {
+            let config = of_preset(preset, threads, 1 << 20, range);
+            let before = ALLOCATOR.current_usage();
+            let mut mapper = Mapper::new(config.clone()).unwrap();
+            let (blocks, after, peak) = held(&mut mapper, &scans[..1], 0.0);
+            let (after, peak) = (after - before, peak - before);
+            let stated = config.memory_max(points);
+            println!(
+                "{preset}, {threads} threads, {range} m: {blocks} blocks, {peak} at the peak, {stated} stated"
+            );
+            assert!(peak <= stated, "{peak} bytes, {stated} stated");
+            assert!(mapper.memory_bytes() <= 1 << 20, "{}", mapper.memory_bytes());
+            // What the documentation says of each block and point, by the blocks that were really touched.
+            let window = (2.0 * range / 0.8).ceil() as usize + 2;
+            let window = window.next_power_of_two().pow(3);
+            let counts = match preset {
+                Preset::RogMap => window * 8 + blocks * 2 * 640,
+                _ => window * 68 + blocks * 80,
+            };
+            let ends = if threads == 2 { window * 4 + blocks * 80 } else { 0 };
+            let (fixed, counts) = ((1 << 20) + (64 << 10), threads * (counts + ends));
+            println!("  {after} after, of which {counts} may be counts");
+            assert!(after <= fixed + points * 36 + counts, "{after} bytes");
+            assert!(peak <= fixed + points * 72 + blocks * 900 + counts * 3 / 2, "{peak} bytes");
+            // The next ones take nothing more.
+            let (_, again, _) = held(&mut mapper, &scans[1..], 0.0);
+            assert!(again - before <= after + (64 << 10), "{} bytes after {after}", again - before);
+        }
     }
 
     // A flight whose map fits: what is said to be held is held.

@@ -1,6 +1,8 @@
 //! The map does not depend on how many threads make it.
 
-use flockmap_grid::{Mapper, MapperConfig, Pose, Preset, Resolution, Scan, ScanReport, Sphere, Stamp, Voxel};
+use flockmap_grid::{
+    Mapper, MapperConfig, Pose, Preset, RaysWalked, Resolution, Scan, ScanReport, Sphere, Stamp, Voxel,
+};
 
 /// Points all around, at 0.5 to 5 m, some of them with nothing there.
 fn scan(random: &mut impl FnMut() -> f64, stamp: i64, points: usize) -> Scan {
@@ -50,7 +52,8 @@ fn any_number_of_threads_makes_the_same_map_and_says_the_same_of_it() {
     let resolution = Resolution::from_metres(0.25).unwrap();
     let presets = [Preset::RogMap, Preset::Racer, Preset::OctoMap];
     let presets = presets.map(|preset| MapperConfig::preset(preset, resolution, 4.0));
-    for config in presets.into_iter().chain([patient(resolution)]) {
+    let single = MapperConfig { rays: RaysWalked::OnePerEndVoxel, ..presets[0].clone() };
+    for config in presets.into_iter().chain([patient(resolution), single]) {
         let alone = map(config.clone(), &scans);
         assert!(alone.0.len() > 10_000 && alone.1[0].masked > 0);
         assert!(alone.1.iter().all(|report| report.hits > 100));
@@ -60,7 +63,10 @@ fn any_number_of_threads_makes_the_same_map_and_says_the_same_of_it() {
         assert!(small_alone.1.iter().any(|report| !report.forgotten.is_empty()));
         for threads in [2, 3, 8] {
             assert!(map(MapperConfig { threads, ..config.clone() }, &scans) == alone, "{threads} threads");
-            assert!(map(MapperConfig { threads, ..small.clone() }, &scans) == small_alone, "{threads} threads");
+            assert!(
+                map(MapperConfig { threads, ..small.clone() }, &scans) == small_alone,
+                "{threads} threads"
+            );
         }
     }
 }

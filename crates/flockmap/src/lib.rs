@@ -59,8 +59,8 @@ pub use flockmap_codec::{Batch, Codec, Package};
 pub use flockmap_grid as grid;
 pub use flockmap_grid::{
     Changes, Fusion, FusionConfig, MapView, Mapper, MapperConfig, Pose, PoseError, Preset, RayEnd,
-    Resolution, RobotId, Scan, ScanReport, Sphere, Stamp, State, States, StatesError, StatesUpdate, Stream,
-    SubmapId, Voxel, VoxelBox, epoch,
+    RaysWalked, Resolution, RobotId, Scan, ScanReport, Sphere, Stamp, State, States, StatesError,
+    StatesUpdate, Stream, SubmapId, Voxel, VoxelBox, epoch,
 };
 pub use flockmap_sync as sync;
 pub use flockmap_sync::{Cast, Destination, Path, Session, SessionConfig, Transmit};

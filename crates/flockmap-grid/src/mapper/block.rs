@@ -110,7 +110,7 @@ impl MapBlock {
         let (seen, _) = self.seen.as_chunks_mut::<16>();
         for (n, (log_odds, seen)) in log_odds.iter_mut().zip(seen).enumerate() {
             let passed = misses.sixteen(simd, n, rules.rays_max);
-            let ended = hits.map_or(all(0), |hits| hits.sixteen(simd, n, rules.hits_max));
+            let ended = hits.map_or_else(|| all(0), |hits| hits.sixteen(simd, n, rules.hits_max));
             let (is_passed, is_ended) = (passed.simd_gt(all(0)), ended.simd_gt(all(0)));
             let is_touched = is_passed | is_ended;
             let bits = is_touched.to_bitmask();

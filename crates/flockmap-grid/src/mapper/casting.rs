@@ -65,7 +65,7 @@ impl Mapper {
             [(&scan.points, true), (&scan.no_returns, false)],
             report,
         );
-        rays.cast(maker.start());
+        rays.cast(maker.start(), maker.rays());
         let touched = rays.touched();
         let nearer_than =
             self.forget_far_blocks(maker.start(), touched.iter().map(|(_, index)| *index), report);

@@ -1,6 +1,6 @@
 //! From the points of a scan to rays.
 
-use super::config::MapperConfig;
+use super::config::{MapperConfig, RaysWalked};
 use super::rays::{Ray, voxel_of};
 use super::{ScanReport, Sphere};
 use crate::{Pose, Voxel};
@@ -14,6 +14,7 @@ pub(super) struct RayMaker {
     range_min: f64,
     half_box: Option<[f64; 3]>,
     lowest_cut_end: Option<f64>,
+    rays: RaysWalked,
     /// Centre and square of the radius of the spheres in which points are ignored.
     masks: Vec<([f64; 3], f64)>,
 }
@@ -31,6 +32,7 @@ impl RayMaker {
             range_min: config.range_min_m * scale,
             half_box: config.update_box_m.map(|half| half.map(|h| h * scale)),
             lowest_cut_end: config.drop_cut_rays_below_m.map(|z| z * scale),
+            rays: config.rays,
             masks: teammates
                 .iter()
                 .map(|s| (s.centre.map(|c| c * scale), (s.radius * scale).powi(2)))
@@ -41,6 +43,11 @@ impl RayMaker {
     /// Where all rays begin.
     pub(super) const fn start(&self) -> [f64; 3] {
         self.start
+    }
+
+    /// Which rays are walked.
+    pub(super) const fn rays(&self) -> RaysWalked {
+        self.rays
     }
 
     /// The ray to a point in the frame of the sensor, if it is one; `returned`: something is there.
@@ -80,6 +87,11 @@ impl RayMaker {
             return None;
         }
         *if is_hit { &mut report.hits } else { &mut report.cut } += 1;
+        let to = voxel_of(end);
+        let end = match self.rays {
+            RaysWalked::All => end,
+            RaysWalked::OnePerEndVoxel => [to.x, to.y, to.z].map(|index| f64::from(index) + 0.5),
+        };
         Some(Ray::new(self.from, end, is_hit))
     }
 }

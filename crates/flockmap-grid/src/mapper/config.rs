@@ -48,6 +48,19 @@ impl core::fmt::Display for Preset {
     }
 }
 
+/// Which rays of a scan are walked.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize, schemars::JsonSchema))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
+pub enum RaysWalked {
+    /// All of them. The default.
+    #[default]
+    All,
+    /// Of the rays that end in one voxel a single one, to the middle of it, as Bonxai does: less work, and a few per cent
+    /// fewer free voxels. Hits count as ever.
+    OnePerEndVoxel,
+}
+
 /// All options of a mapper. How hits and misses add up to a state is in probabilities, 0.001 … 0.999, so that
 /// sums fit 16 bits.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,12 +96,15 @@ pub struct MapperConfig {
     /// Rays cut at the range or at the update box are dropped when they end below this height in the map
     /// frame, in metres (RACER: 0.2, so that the ground is not cleared by rays which never reached it).
     pub drop_cut_rays_below_m: Option<f64>,
+    /// Which rays of a scan are walked.
+    pub rays: RaysWalked,
     /// The blocks of the map and their tables are kept within this many bytes, also while a scan is taken in,
     /// by forgetting those farthest from the sensor: 2.6 kB a block at most. What scans need comes on top and
-    /// is kept for the next one: 36 bytes for each point, and for each thread the counts. Where a voxel changes once a scan,
-    /// those are 68 bytes for each block of 8³ voxels within reach of the rays, and 80 where rays end; else 640 for each
-    /// that is touched, and 640 where rays end (twice that where more than 255 rays count). For a moment, 0.9 kB a block
-    /// and as much again of points and counts while lists grow. The worst case is [`Self::memory_max`]. Default 512 MiB.
+    /// is kept for the next one: 36 bytes for each point, and counts for each thread. Where a voxel changes once a scan,
+    /// those are 68 bytes for each block of 8³ voxels of the box around the rays, its sides rounded up to powers of two,
+    /// and 80 where rays end; else 8 bytes for each block of that box, 640 for each that is touched, and 640 where rays
+    /// end (twice that where more than 255 rays count). For a moment, 0.9 kB a block and as much again of points and
+    /// half of counts while lists grow. The worst case is [`Self::memory_max`]. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "memory_mb", with = "crate::units::Mebibytes"))]
     pub memory_bytes_max: usize,
     /// Threads that take in a scan together, one for each 4,096 points at most. 1 to 64; default 1: none is made. The map
@@ -114,6 +130,7 @@ impl MapperConfig {
             every_ray_counts: true,
             start_at_occupied: false,
             drop_cut_rays_below_m: None,
+            rays: RaysWalked::All,
             memory_bytes_max: 512 << 20,
             threads: 1,
         };

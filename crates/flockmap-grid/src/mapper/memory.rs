@@ -1,7 +1,7 @@
 //! The most that a mapper holds, reckoned from its options.
 
 use super::block::MapBlock;
-use super::config::MapperConfig;
+use super::config::{MapperConfig, RaysWalked};
 use super::rays::{Ray, TURN};
 use super::submaps::MovedBlock;
 use crate::{BLOCK_SIDE, BLOCK_VOXELS, BlockIndex, Plane, Stamp, StateBlock};
@@ -53,12 +53,19 @@ impl MapperConfig {
         // Of rays that pass and of rays that end: a list a quarter too large, moved to a new place while it grows.
         let in_lists = |bytes: usize| (blocks.saturating_mul(2 * bytes * 9 / 4), 2 * size_of::<u32>());
         let (lists, of_window) = match self.rules().map(|rules| rules.rays_max) {
-            Ok(0..=1) => (blocks * 64 * 9 / 4, 64 + size_of::<u32>()),
+            Ok(0..=1) => (blocks.saturating_mul(64 * 9 / 4), 64 + size_of::<u32>()),
             Ok(2..=255) => in_lists(BLOCK_VOXELS),
             _ => in_lists(2 * BLOCK_VOXELS),
         };
+        let (ends, ends_of_window) = match self.rays {
+            RaysWalked::All => (0, 0),
+            RaysWalked::OnePerEndVoxel => {
+                (blocks.saturating_mul(64 * 9 / 4 + NUMBERS_BYTES / 4), size_of::<u32>())
+            }
+        };
         let of_thread = lists
-            .saturating_add(window.saturating_mul(of_window))
+            .saturating_add(ends)
+            .saturating_add(window.saturating_mul(of_window + ends_of_window))
             .saturating_add(blocks.saturating_mul(NUMBERS_BYTES) + THREAD_BYTES);
         self.memory_bytes_max.max(MAP_BLOCK_BYTES)
             + blocks.saturating_mul(SCAN_BLOCK_BYTES)

@@ -24,7 +24,7 @@ use blocks::Blocks;
 use casting::Casting;
 use collect::RayMaker;
 use config::Rules;
-pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset};
+pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset, RaysWalked};
 pub use memory::MAP_BLOCK_BYTES;
 use memory::{ENTRY_BYTES, FarKey, LISTED_BYTES, PENDING_BYTES};
 pub(crate) use revisit::OwnBlocks;

@@ -9,7 +9,8 @@
 
 use super::ScanReport;
 use super::collect::RayMaker;
-use super::tally::{LANES, Pool, STEPS_MAX, Tallies, Tally};
+use super::config::RaysWalked;
+use super::tally::{LANES, Once, Pool, STEPS_MAX, Tallies, Tally};
 use super::window::Window;
 use crate::{BlockIndex, Voxel};
 use fearless_simd::{Level, dispatch};
@@ -72,6 +73,8 @@ struct Share<T: Tallies> {
     misses: T,
     /// Rays that ended here.
     hits: Pool<T::Block>,
+    /// Where rays end, if one of each voxel is walked.
+    ends: Pool<Once>,
     /// Blocks in which anything was counted, perhaps twice.
     touched: Vec<u32>,
 }
@@ -123,7 +126,7 @@ impl<T: Tallies> Rays<T> {
     /// Casts all rays from `start` (voxel units). Start and ends must lie within the voxel limits, and no ray
     /// may be longer than 500 voxels. A voxel that a ray passes through counts one miss, the voxel in which
     /// it ends counts one hit or, for a ray that was cut, nothing.
-    pub(super) fn cast(&mut self, start: [f64; 3]) {
+    pub(super) fn cast(&mut self, start: [f64; 3], walked: RaysWalked) {
         let from = voxel_of(start);
         let (mut low, mut high) = (from, from);
         for end in self.shares[..self.used].iter().flat_map(|share| &share.rays).map(|ray| voxel_of(ray.end))
@@ -132,9 +135,23 @@ impl<T: Tallies> Rays<T> {
         }
         let window = Window::new(low.block(), high.block());
         self.window = window;
+        let shares = &mut self.shares[..self.used];
+        if walked == RaysWalked::OnePerEndVoxel {
+            each(shares, |share| {
+                share.count_hits(&window);
+                share.keep_one_per_end_voxel(&window);
+            });
+            let ends: Vec<Pool<Once>> =
+                shares.iter_mut().map(|share| core::mem::take(&mut share.ends)).collect();
+            each(shares, |share| share.leave_out(&ends[..share.number], &window));
+            shares.iter_mut().zip(ends).for_each(|(share, ends)| share.ends = ends);
+        }
         let level = Level::new();
-        each(&mut self.shares[..self.used], |share| {
-            dispatch!(level, _ => share.cast(start, &window));
+        each(shares, |share| {
+            if walked == RaysWalked::All {
+                share.count_hits(&window);
+            }
+            dispatch!(level, _ => share.walk(start, &window));
         });
     }
 
@@ -185,6 +202,7 @@ impl<T: Tallies> Share<T> {
             order: Vec::new(),
             misses: T::default(),
             hits: Pool::default(),
+            ends: Pool::default(),
             touched: Vec::new(),
         }
     }
@@ -205,10 +223,8 @@ impl<T: Tallies> Share<T> {
     }
 
     #[inline(always)]
-    fn cast(&mut self, start: [f64; 3], window: &Window) {
+    fn walk(&mut self, start: [f64; 3], window: &Window) {
         self.misses.begin(window.blocks());
-        self.hits.begin(window.blocks());
-        self.count_hits(window);
         self.sort_by_length();
         let order = core::mem::take(&mut self.order);
         let (groups, rest) = order.as_chunks::<LANES>();
@@ -226,11 +242,28 @@ impl<T: Tallies> Share<T> {
         self.hits.end(&mut self.touched);
     }
 
-    #[inline(always)]
     fn count_hits(&mut self, window: &Window) {
+        self.hits.begin(window.blocks());
         for ray in self.rays.iter().filter(|ray| ray.is_hit) {
-            let [x, y, z] = window.place(voxel_of(ray.end));
-            self.hits.add(x | y | z);
+            self.hits.add(ray.end_place(window));
+        }
+    }
+
+    fn keep_one_per_end_voxel(&mut self, window: &Window) {
+        self.ends.begin(window.blocks());
+        let ends = &mut self.ends;
+        self.rays.retain(|ray| {
+            let place = ray.end_place(window);
+            let is_first = !ends.contains(place);
+            ends.add(place);
+            is_first
+        });
+    }
+
+    /// Leaves out the rays to voxels in which rays of other shares end.
+    fn leave_out(&mut self, others: &[Pool<Once>], window: &Window) {
+        if !others.is_empty() {
+            self.rays.retain(|ray| !others.iter().any(|ends| ends.contains(ray.end_place(window))));
         }
     }
 
@@ -341,6 +374,12 @@ impl<T: Tallies> Share<T> {
 }
 
 impl Ray {
+    /// Place of the voxel in which it ends.
+    fn end_place(&self, window: &Window) -> u32 {
+        let [x, y, z] = window.place(voxel_of(self.end));
+        x | y | z
+    }
+
     #[inline(always)]
     fn walk(&self, start: [f64; 3], window: &Window) -> Walk {
         let from = voxel_of(start);
@@ -387,7 +426,7 @@ mod tests {
                 let own = rays.iter().skip(n).step_by(3);
                 share.rays.extend(own.map(|&(end, is_hit)| Ray::new(voxel_of(start), end, is_hit)));
             }
-            cast.cast(start);
+            cast.cast(start, RaysWalked::All);
             for (place, index) in cast.touched() {
                 let (misses, hits) = cast.counts(place);
                 let hits = hits.unwrap_or([0; BLOCK_VOXELS]);

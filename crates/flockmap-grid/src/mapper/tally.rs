@@ -208,6 +208,12 @@ impl<T: Tally> Tallies for Pool<T> {
     }
 }
 
+impl Pool<Once> {
+    pub(super) fn contains(&self, place: u32) -> bool {
+        self.block(place >> 9).is_some_and(|bits| bits[(place >> 6 & 7) as usize] >> (place & 63) & 1 == 1)
+    }
+}
+
 impl<T: Tally> Pool<T> {
     #[cold]
     #[inline(never)]

@@ -181,8 +181,14 @@ fn presets(file: &DeTable<'_>) -> Result<[(&'static str, String); 2], toml::ser:
         Behaviour::Default => SessionConfig::default(),
         Behaviour::Paper => SessionConfig::paper(),
     };
-    let mapper = MapperConfig::preset(preset(file, "map", "mapper"), ANY, 0.0);
+    let mapper =
+        MapperConfig { threads: threads(), ..MapperConfig::preset(preset(file, "map", "mapper"), ANY, 0.0) };
     Ok([("map", toml::to_string(&mapper)?), ("session", toml::to_string(&session)?)])
+}
+
+/// Threads of the mapper unless the file says how many: half of the cores, at most 4.
+fn threads() -> usize {
+    std::thread::available_parallelism().map_or(1, |cores| (cores.get() / 2).clamp(1, 4))
 }
 
 /// The preset that a key names. One that is none is an error when the whole file is read.
