@@ -1,9 +1,58 @@
 //! From the points of a scan to rays.
 
 use super::config::{MapperConfig, RaysWalked};
-use super::rays::{Ray, voxel_of};
+use super::group::integers;
+use super::tally::LANES;
+use super::window::Window;
 use super::{ScanReport, Sphere};
 use crate::{Pose, Voxel};
+use fearless_simd::f64x8;
+use fearless_simd::prelude::*;
+
+/// A ray in voxel units (metres divided by the resolution), in the frame of the map.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ray {
+    pub(super) end: [f64; 3],
+    pub(super) is_hit: bool,
+    /// Voxels before the one in which it ends.
+    pub(super) length: u32,
+}
+
+impl Ray {
+    #[inline(always)]
+    pub(super) fn new(from: Voxel, end: [f64; 3], to: Voxel, is_hit: bool) -> Self {
+        Self { end, is_hit, length: from.x.abs_diff(to.x) + from.y.abs_diff(to.y) + from.z.abs_diff(to.z) }
+    }
+
+    /// Place of the voxel in which it ends.
+    pub(super) fn end_place(&self, window: &Window) -> u32 {
+        let [x, y, z] = window.place(voxel_of(self.end));
+        x | y | z
+    }
+}
+
+/// The voxel in which a point lies. Not by `floor`, which is a call where no vector instructions are asked for.
+#[inline(always)]
+pub(super) fn voxel_of(p: [f64; 3]) -> Voxel {
+    let floor = |v: f64| {
+        let towards_zero = v as i32;
+        towards_zero - i32::from(f64::from(towards_zero) > v)
+    };
+    Voxel::new(floor(p[0]), floor(p[1]), floor(p[2]))
+}
+
+/// Where points lie, in voxel units, by axes.
+#[derive(Default)]
+pub(super) struct Directions {
+    /// From the start, in the frame of the map.
+    d: [[f64; LANES]; 3],
+    length: [f64; LANES],
+    /// How much of it is within the range.
+    part: [f64; LANES],
+    /// Where rays end by that, and in which voxel.
+    end: [[f64; LANES]; 3],
+    to: [[i32; LANES]; 3],
+}
 
 /// How points become rays, in voxel units.
 pub(super) struct RayMaker {
@@ -50,48 +99,91 @@ impl RayMaker {
         self.rays
     }
 
-    /// The ray to a point in the frame of the sensor, if it is one; `returned`: something is there.
+    /// The voxel in which all rays begin.
+    pub(super) const fn from(&self) -> Voxel {
+        self.from
+    }
+
+    /// Where up to eight points in the frame of the sensor lie, by vector instructions.
     #[inline(always)]
-    pub(super) fn ray(&self, point: &[f32; 3], returned: bool, report: &mut ScanReport) -> Option<Ray> {
-        let Self { rotation, start, range, range_min, .. } = self;
-        let p = point.map(f64::from);
-        let d: [f64; 3] = core::array::from_fn(|axis| {
-            rotation[axis][0] * p[0] + rotation[axis][1] * p[1] + rotation[axis][2] * p[2]
-        });
+    pub(super) fn directions<S: Simd>(&self, simd: S, points: &[[f32; 3]]) -> Directions {
+        let all = |value: f64| f64x8::splat(simd, value);
+        let mut p = [[f64::NAN; LANES]; 3];
+        for (lane, point) in points.iter().enumerate().take(LANES) {
+            for axis in 0..3 {
+                p[axis][lane] = f64::from(point[axis]);
+            }
+        }
+        let p = [0, 1, 2].map(|axis| f64x8::from_slice(simd, &p[axis]));
+        let mut directions = Directions::default();
+        let mut d = p;
+        for (d, row) in d.iter_mut().zip(&self.rotation) {
+            *d = all(row[0]) * p[0] + all(row[1]) * p[1] + all(row[2]) * p[2];
+        }
         let length = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+        let part = length.simd_gt(all(self.range)).select(all(self.range) / length, all(1.0));
+        length.store_slice(&mut directions.length);
+        part.store_slice(&mut directions.part);
+        for (axis, d) in d.into_iter().enumerate() {
+            d.store_slice(&mut directions.d[axis]);
+            let end = all(self.start[axis]) + d * part;
+            end.store_slice(&mut directions.end[axis]);
+            directions.to[axis] = integers(simd, end.floor());
+        }
+        directions
+    }
+
+    /// The ray to one of the points, if it is one, and the voxel in which it ends; `returned`: something is there.
+    #[inline(always)]
+    pub(super) fn ray(
+        &self,
+        directions: &Directions,
+        lane: usize,
+        returned: bool,
+        report: &mut ScanReport,
+    ) -> Option<(Ray, Voxel)> {
+        let of = |values: &[[f64; LANES]; 3]| values.map(|values| values[lane]);
+        let length = directions.length[lane];
         // Written so that a NaN is ignored.
-        if !(length >= *range_min && length < f64::INFINITY) {
+        if !(length >= self.range_min && length < f64::INFINITY) {
             report.ignored += 1;
             return None;
         }
-        let end: [f64; 3] = core::array::from_fn(|axis| start[axis] + d[axis]);
-        let is_within = |(c, radius2): &([f64; 3], f64)| {
-            (0..3).map(|axis| (end[axis] - c[axis]).powi(2)).sum::<f64>() <= *radius2
-        };
-        if returned && self.masks.iter().any(is_within) {
+        if returned && self.is_masked(of(&directions.d)) {
             report.masked += 1;
             return None;
         }
-        let mut part = if length > *range { range / length } else { 1.0 };
+        let (mut part, mut end) = (directions.part[lane], of(&directions.end));
+        let [x, y, z] = directions.to.map(|to| to[lane]);
+        let mut to = Voxel::new(x, y, z);
         if let Some(half) = self.half_box {
+            let d = of(&directions.d);
             for axis in 0..3 {
                 if (d[axis] * part).abs() > half[axis] {
                     part = half[axis] / d[axis].abs();
                 }
             }
+            end = core::array::from_fn(|axis| self.start[axis] + d[axis] * part);
+            to = voxel_of(end);
         }
         let is_hit = returned && part == 1.0;
-        let end = if part == 1.0 { end } else { core::array::from_fn(|axis| start[axis] + d[axis] * part) };
         if !is_hit && self.lowest_cut_end.is_some_and(|z| end[2] < z) {
             report.ignored += 1;
             return None;
         }
         *if is_hit { &mut report.hits } else { &mut report.cut } += 1;
-        let to = voxel_of(end);
-        let end = match self.rays {
-            RaysWalked::All => end,
-            RaysWalked::OnePerEndVoxel => [to.x, to.y, to.z].map(|index| f64::from(index) + 0.5),
+        if self.rays == RaysWalked::OnePerEndVoxel {
+            end = [to.x, to.y, to.z].map(|index| f64::from(index) + 0.5);
+        }
+        Some((Ray::new(self.from, end, to, is_hit), to))
+    }
+
+    /// Whether a point lies on a team-mate.
+    #[inline(always)]
+    fn is_masked(&self, d: [f64; 3]) -> bool {
+        let is_within = |(c, radius2): &([f64; 3], f64)| {
+            (0..3).map(|axis| (self.start[axis] + d[axis] - c[axis]).powi(2)).sum::<f64>() <= *radius2
         };
-        Some(Ray::new(self.from, end, is_hit))
+        self.masks.iter().any(is_within)
     }
 }

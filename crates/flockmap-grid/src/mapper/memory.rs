@@ -1,8 +1,9 @@
 //! The most that a mapper holds, reckoned from its options.
 
 use super::block::MapBlock;
+use super::collect::Ray;
 use super::config::{MapperConfig, RaysWalked};
-use super::rays::{Ray, TURN};
+use super::rays::TURN;
 use super::submaps::MovedBlock;
 use crate::{BLOCK_SIDE, BLOCK_VOXELS, BlockIndex, Plane, Stamp, StateBlock};
 

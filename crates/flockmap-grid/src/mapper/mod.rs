@@ -6,6 +6,7 @@ mod blocks;
 mod casting;
 mod collect;
 mod config;
+mod group;
 mod memory;
 mod rays;
 mod revisit;

@@ -1,56 +1,21 @@
 //! Casting the rays of one scan: how many rays pass through and how many end in each voxel.
 //!
 //! Rays walk from voxel to voxel across shared faces (Amanatides and Woo, "A Fast Voxel Traversal Algorithm",
-//! 1987). Eight rays of about equal length walk in step, so that the compiler can use vector instructions. A
-//! place is one number with interleaved fields, `[block z][block y][block x][z][y][x]`, three bits each for the
-//! place in the block; a step adds to one field and lets the carry run through the bits between. Counts are kept
-//! in blocks taken from a pool at first touch, so that memory follows what the scan sees and not the cube
-//! around it.
+//! 1987), eight of about equal length in step ([`group`](super::group)). Each thread has rays and counts of its own
+//! ([`tally`](super::tally)); what they counted is added up block by block.
 
 use super::ScanReport;
-use super::collect::RayMaker;
+use super::collect::{Ray, RayMaker, voxel_of};
 use super::config::RaysWalked;
+use super::group::{Group, Start, Walk};
 use super::tally::{LANES, Once, Pool, STEPS_MAX, Tallies, Tally};
 use super::window::Window;
 use crate::{BlockIndex, Voxel};
+use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
 
 /// Points that one thread takes before another one's turn.
 pub(super) const TURN: usize = 256;
-
-/// Times along a ray are whole numbers: this is the end of the ray.
-const ONE: f64 = (1u32 << 29) as f64;
-
-/// Longer than any ray: the face of an axis that a ray does not move along. One step past the end of the ray
-/// plus this still fits 32 bits.
-const NEVER: f64 = (1u32 << 30) as f64;
-
-/// A ray in voxel units (metres divided by the resolution), in the frame of the map.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Ray {
-    pub(super) end: [f64; 3],
-    pub(super) is_hit: bool,
-    /// Voxels before the one in which it ends.
-    length: u32,
-}
-
-impl Ray {
-    #[inline(always)]
-    pub(super) fn new(from: Voxel, end: [f64; 3], is_hit: bool) -> Self {
-        let to = voxel_of(end);
-        Self { end, is_hit, length: from.x.abs_diff(to.x) + from.y.abs_diff(to.y) + from.z.abs_diff(to.z) }
-    }
-}
-
-/// The voxel in which a point lies. Not by `floor`, which is a call where no vector instructions are asked for.
-#[inline(always)]
-pub(super) fn voxel_of(p: [f64; 3]) -> Voxel {
-    let floor = |v: f64| {
-        let towards_zero = v as i32;
-        towards_zero - i32::from(f64::from(towards_zero) > v)
-    };
-    Voxel::new(floor(p[0]), floor(p[1]), floor(p[2]))
-}
 
 /// The rays of one scan. Reused from scan to scan.
 pub(super) struct Rays<T: Tallies> {
@@ -65,6 +30,8 @@ struct Share<T: Tallies> {
     /// Which one of the shares it is.
     number: usize,
     rays: Vec<Ray>,
+    /// The lowest and the highest voxel in which they end.
+    ends_within: (Voxel, Voxel),
     /// What became of its points.
     report: ScanReport,
     /// Longest first.
@@ -77,18 +44,6 @@ struct Share<T: Tallies> {
     ends: Pool<Once>,
     /// Blocks in which anything was counted, perhaps twice.
     touched: Vec<u32>,
-}
-
-/// One ray, ready to walk.
-#[derive(Clone, Copy, Default)]
-struct Walk {
-    place: [u32; 3],
-    /// Added to a field of the place for one step along its axis.
-    step: [u32; 3],
-    /// When the ray next crosses a face of each axis.
-    next: [i32; 3],
-    /// Time between two crossings of each axis.
-    delta: [i32; 3],
 }
 
 impl<T: Tallies> Rays<T> {
@@ -108,7 +63,7 @@ impl<T: Tallies> Rays<T> {
         let count = self.used;
         let level = Level::new();
         each(&mut self.shares[..count], |share| {
-            dispatch!(level, _ => share.collect(count, maker, points));
+            dispatch!(level, simd => share.collect(simd, count, maker, points));
         });
         for of_share in self.shares[..count].iter().map(|share| &share.report) {
             report.hits += of_share.hits;
@@ -129,12 +84,12 @@ impl<T: Tallies> Rays<T> {
     pub(super) fn cast(&mut self, start: [f64; 3], walked: RaysWalked) {
         let from = voxel_of(start);
         let (mut low, mut high) = (from, from);
-        for end in self.shares[..self.used].iter().flat_map(|share| &share.rays).map(|ray| voxel_of(ray.end))
-        {
-            (low, high) = (low.lowest(end), high.highest(end));
+        for (lowest, highest) in self.shares[..self.used].iter().map(|share| share.ends_within) {
+            (low, high) = (low.lowest(lowest), high.highest(highest));
         }
         let window = Window::new(low.block(), high.block());
         self.window = window;
+        let start = Start::new(start, from, &window);
         let shares = &mut self.shares[..self.used];
         if walked == RaysWalked::OnePerEndVoxel {
             each(shares, |share| {
@@ -151,7 +106,7 @@ impl<T: Tallies> Rays<T> {
             if walked == RaysWalked::All {
                 share.count_hits(&window);
             }
-            dispatch!(level, _ => share.walk(start, &window));
+            dispatch!(level, simd => share.walk(simd, &start, &window));
         });
     }
 
@@ -198,6 +153,7 @@ impl<T: Tallies> Share<T> {
         Self {
             number,
             rays: Vec::new(),
+            ends_within: (Voxel::new(0, 0, 0), Voxel::new(0, 0, 0)),
             report: ScanReport::default(),
             order: Vec::new(),
             misses: T::default(),
@@ -207,34 +163,61 @@ impl<T: Tallies> Share<T> {
         }
     }
 
-    #[inline(always)]
-    fn collect(&mut self, shares: usize, maker: &RayMaker, points: [(&[[f32; 3]], bool); 2]) {
+    /// No rays, of those that begin in a voxel.
+    fn clear(&mut self, from: Voxel) {
         self.rays.clear();
+        self.ends_within = (from, from);
+    }
+
+    /// One ray more, and the voxel in which it ends.
+    #[inline(always)]
+    fn push(&mut self, ray: Ray, end: Voxel) {
+        self.rays.push(ray);
+        let (low, high) = self.ends_within;
+        self.ends_within = (low.lowest(end), high.highest(end));
+    }
+
+    #[inline(always)]
+    fn collect<S: Simd>(
+        &mut self,
+        simd: S,
+        shares: usize,
+        maker: &RayMaker,
+        points: [(&[[f32; 3]], bool); 2],
+    ) {
+        self.clear(maker.from());
         let all = points.iter().map(|(points, _)| points.len()).sum::<usize>();
         self.rays.reserve_exact(all.div_ceil(shares).next_multiple_of(TURN) + TURN);
         self.report = ScanReport::default();
         for (points, returned) in points {
             for turn in points.chunks(TURN).skip(self.number).step_by(shares) {
-                for point in turn {
-                    self.rays.extend(maker.ray(point, returned, &mut self.report));
+                for points in turn.chunks(LANES) {
+                    let directions = maker.directions(simd, points);
+                    for lane in 0..points.len() {
+                        let Some((ray, end)) = maker.ray(&directions, lane, returned, &mut self.report)
+                        else {
+                            continue;
+                        };
+                        self.push(ray, end);
+                    }
                 }
             }
         }
     }
 
     #[inline(always)]
-    fn walk(&mut self, start: [f64; 3], window: &Window) {
+    fn walk<S: Simd>(&mut self, simd: S, start: &Start, window: &Window) {
         self.misses.begin(window.blocks());
         self.sort_by_length();
         let order = core::mem::take(&mut self.order);
         let (groups, rest) = order.as_chunks::<LANES>();
         for group in groups {
-            self.walk_group(start, window, group);
+            self.walk_group(simd, start, group);
         }
-        for &ray in rest {
-            let ray = &self.rays[ray as usize];
-            let (walk, length) = (ray.walk(start, window), ray.length);
-            self.walk_one(walk, window, length);
+        if let Some(&first) = rest.first() {
+            let lanes: [u32; LANES] = core::array::from_fn(|lane| *rest.get(lane).unwrap_or(&first));
+            let walks = Group::new(simd, start, lanes.map(|ray| &self.rays[ray as usize])).walks();
+            self.walk_on(&walks, start, rest, 0);
         }
         self.order = order;
         self.touched.clear();
@@ -303,107 +286,33 @@ impl<T: Tallies> Share<T> {
     }
 
     #[inline(always)]
-    fn walk_group(&mut self, start: [f64; 3], window: &Window, group: &[u32; LANES]) {
-        let mut place = [[0u32; LANES]; 3];
-        let mut step = [[0u32; LANES]; 3];
-        let mut next = [[0i32; LANES]; 3];
-        let mut delta = [[0i32; LANES]; 3];
-        for (lane, &ray) in group.iter().enumerate() {
-            let walk = self.rays[ray as usize].walk(start, window);
-            for axis in 0..3 {
-                place[axis][lane] = walk.place[axis];
-                step[axis][lane] = walk.step[axis];
-                next[axis][lane] = walk.next[axis];
-                delta[axis][lane] = walk.delta[axis];
-            }
-        }
-        let masks = window.masks;
+    fn walk_group<S: Simd>(&mut self, simd: S, start: &Start, group: &[u32; LANES]) {
+        let mut rays = Group::new(simd, start, group.map(|ray| &self.rays[ray as usize]));
         let together = self.rays[group[LANES - 1] as usize].length;
-        let mut steps = [[0u32; LANES]; STEPS_MAX];
-        let mut done = 0;
-        while done < together {
-            let count = T::STEPS.min((together - done) as usize);
-            for at in &mut steps[..count] {
-                for l in 0..LANES {
-                    at[l] = place[0][l] | place[1][l] | place[2][l];
-                    let (x, y, z) = (next[0][l], next[1][l], next[2][l]);
-                    let is_x = -i32::from((x <= y) & (x <= z));
-                    let is_y = -i32::from(y <= z) & !is_x;
-                    let is_z = !(is_x | is_y);
-                    next[0][l] = x.wrapping_add(delta[0][l] & is_x);
-                    next[1][l] = y.wrapping_add(delta[1][l] & is_y);
-                    next[2][l] = z.wrapping_add(delta[2][l] & is_z);
-                    place[0][l] = place[0][l].wrapping_add(step[0][l] & is_x as u32) & masks[0];
-                    place[1][l] = place[1][l].wrapping_add(step[1][l] & is_y as u32) & masks[1];
-                    place[2][l] = place[2][l].wrapping_add(step[2][l] & is_z as u32) & masks[2];
-                }
+        let mut steps = [[0; LANES]; STEPS_MAX];
+        for _ in 0..together as usize / T::STEPS {
+            for at in &mut steps[..T::STEPS] {
+                rays.advance(at);
             }
-            self.misses.add_all(&steps[..count]);
-            done += count as u32;
+            self.misses.add_all(&steps[..T::STEPS]);
         }
-        for (lane, &ray) in group.iter().enumerate() {
-            let length = self.rays[ray as usize].length;
-            if length > together {
-                let at = |of: &[[u32; LANES]; 3]| core::array::from_fn(|axis| of[axis][lane]);
-                let time = |of: &[[i32; LANES]; 3]| core::array::from_fn(|axis| of[axis][lane]);
-                let walk =
-                    Walk { place: at(&place), step: at(&step), next: time(&next), delta: time(&delta) };
-                self.walk_one(walk, window, length - together);
-            }
+        let rest = &mut steps[..together as usize % T::STEPS];
+        for at in &mut *rest {
+            rays.advance(at);
         }
+        self.misses.add_all(rest);
+        self.walk_on(&rays.walks(), start, group, together);
     }
 
-    /// Walks one ray for so many voxels.
+    /// Each of some rays for itself, of which so many voxels are done.
     #[inline(always)]
-    fn walk_one(&mut self, mut walk: Walk, window: &Window, length: u32) {
-        for _ in 0..length {
-            let [x, y, z] = walk.place;
-            self.misses.add(x | y | z);
-            let [x, y, z] = walk.next;
-            let axis = if x <= y && x <= z {
-                0
-            } else if y <= z {
-                1
-            } else {
-                2
-            };
-            walk.next[axis] = walk.next[axis].wrapping_add(walk.delta[axis]);
-            walk.place[axis] = walk.place[axis].wrapping_add(walk.step[axis]) & window.masks[axis];
-        }
-    }
-}
-
-impl Ray {
-    /// Place of the voxel in which it ends.
-    fn end_place(&self, window: &Window) -> u32 {
-        let [x, y, z] = window.place(voxel_of(self.end));
-        x | y | z
-    }
-
-    #[inline(always)]
-    fn walk(&self, start: [f64; 3], window: &Window) -> Walk {
-        let from = voxel_of(start);
-        let mut walk = Walk { place: window.place(from), ..Walk::default() };
-        let from = [from.x, from.y, from.z];
-        for axis in 0..3 {
-            let direction = self.end[axis] - start[axis];
-            let fraction = start[axis] - f64::from(from[axis]);
-            let unit = 1u32 << (3 * axis);
-            let inverse = ONE / direction.abs();
-            let to_face;
-            if direction > 0.0 {
-                walk.step[axis] = (!window.masks[axis]).wrapping_add(unit);
-                to_face = 1.0 - fraction;
-            } else {
-                walk.step[axis] = unit.wrapping_neg();
-                to_face = fraction;
+    fn walk_on(&mut self, walks: &[Walk], start: &Start, rays: &[u32], done: u32) {
+        for (walk, &ray) in walks.iter().zip(rays) {
+            let mut walk = *walk;
+            for _ in done..self.rays[ray as usize].length {
+                self.misses.add(walk.advance(&start.masks));
             }
-            // A direction of zero gives an infinite inverse, and 0 · ∞ is not a number: `min` takes the
-            // other.
-            walk.next[axis] = ((to_face * inverse).min(NEVER) + 0.5) as i32;
-            walk.delta[axis] = (inverse.min(NEVER) + 0.5) as i32;
         }
-        walk
     }
 }
 
@@ -422,9 +331,10 @@ mod tests {
             found.clear();
             cast.used = 3;
             for (n, share) in cast.shares.iter_mut().enumerate() {
-                share.rays.clear();
-                let own = rays.iter().skip(n).step_by(3);
-                share.rays.extend(own.map(|&(end, is_hit)| Ray::new(voxel_of(start), end, is_hit)));
+                share.clear(voxel_of(start));
+                for &(end, is_hit) in rays.iter().skip(n).step_by(3) {
+                    share.push(Ray::new(voxel_of(start), end, voxel_of(end), is_hit), voxel_of(end));
+                }
             }
             cast.cast(start, RaysWalked::All);
             for (place, index) in cast.touched() {

@@ -36,14 +36,14 @@ pub(super) trait Tallies: Default + Send + Sync {
 }
 
 /// Of a voxel that changes once a scan only whether any ray came.
-pub(super) type Once = [u64; 8];
+pub(super) type Once = [u32; 16];
 
 impl Tally for Once {
-    const ZERO: Self = [0; 8];
+    const ZERO: Self = [0; 16];
 
     #[inline(always)]
     fn add(&mut self, bit: usize) {
-        self[bit >> 6 & 7] |= 1 << (bit & 63);
+        self[bit >> 5 & 15] |= 1 << (bit & 31);
     }
 
     fn merge(&mut self, other: &Self) {
@@ -54,7 +54,7 @@ impl Tally for Once {
 
     #[inline(always)]
     fn sixteen<S: Simd>(&self, simd: S, n: usize, _: u16) -> i16x16<S> {
-        let bits = self[n / 4] >> (n % 4 * 16) & 0xffff;
+        let bits = u64::from(self[n / 2] >> (n % 2 * 16) & 0xffff);
         mask16x16::from_bitmask(simd, bits).select(i16x16::splat(simd, 1), i16x16::splat(simd, 0))
     }
 }
@@ -91,43 +91,45 @@ saturating!(u8, u16);
 /// Bits for all blocks of the window: at 64 bytes a block, that is less than to look up where a block has its counts.
 #[derive(Default)]
 pub(super) struct Bits {
-    words: Vec<u64>,
+    words: Vec<u32>,
     blocks: usize,
     touched: Vec<u32>,
 }
 
 impl Tallies for Bits {
     type Block = Once;
-    const STEPS: usize = 2;
+    const STEPS: usize = 1;
 
     fn begin(&mut self, blocks: usize) {
         for block in self.touched.drain(..) {
-            self.words[block as usize * 8..][..8].fill(0);
+            self.words[block as usize * 16..][..16].fill(0);
         }
         self.blocks = blocks;
-        if self.words.len() < blocks * 8 {
+        if self.words.len() < blocks * 16 {
             self.words = Vec::new();
-            self.words = vec![0; blocks * 8];
+            self.words = vec![0; blocks * 16];
         }
     }
 
     #[inline(always)]
     fn add(&mut self, place: u32) {
-        self.words[(place >> 6) as usize] |= 1 << (place & 63);
+        self.words[(place >> 5) as usize] |= 1 << (place & 31);
     }
 
     #[inline(always)]
     fn add_all(&mut self, places: &[[u32; LANES]]) {
         let words = self.words.as_mut_slice();
         for step in places {
-            for place in step {
-                words[(place >> 6) as usize] |= 1 << (place & 63);
+            // Vector instructions as far as that goes.
+            let (index, bit) = (step.map(|place| place >> 5), step.map(|place| 1 << (place & 31)));
+            for (index, bit) in index.into_iter().zip(bit) {
+                words[index as usize] |= bit;
             }
         }
     }
 
     fn end(&mut self, to: &mut Vec<u32>) {
-        let (blocks, _) = self.words[..self.blocks * 8].as_chunks::<8>();
+        let (blocks, _) = self.words[..self.blocks * 16].as_chunks::<16>();
         let touched =
             (0..).zip(blocks).filter(|(_, words)| words.iter().fold(0, |all, word| all | word) != 0);
         self.touched.extend(touched.map(|(block, _)| block));
@@ -210,7 +212,7 @@ impl<T: Tally> Tallies for Pool<T> {
 
 impl Pool<Once> {
     pub(super) fn contains(&self, place: u32) -> bool {
-        self.block(place >> 9).is_some_and(|bits| bits[(place >> 6 & 7) as usize] >> (place & 63) & 1 == 1)
+        self.block(place >> 9).is_some_and(|bits| bits[(place >> 5 & 15) as usize] >> (place & 31) & 1 == 1)
     }
 }
 
