@@ -82,7 +82,7 @@ fn the_mapper_makes_the_same_map_as_octomap() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mapping.json");
     let text = good(&format!(
-        "mapping --scene indoor --scans 2 --resolution 0.2 --range 5 --json {}",
+        "mapping --scene indoor --scans 2 --resolution 0.2 --range 5 --threads 1,2 --runs 2 --json {}",
         path.display()
     ));
     let output = json(&path);
@@ -96,7 +96,8 @@ fn the_mapper_makes_the_same_map_as_octomap() {
     let (known, equal) = (differences["known"].as_f64().unwrap(), differences["equal"].as_f64().unwrap());
     // Rounding may put a ray on the other side of an edge.
     assert!(known > 10_000.0 && equal / known > 0.999, "{differences}");
-    assert_eq!(output["mappers"].as_array().unwrap().len(), 4);
+    // Three presets, single rays and the whole robot, each with one thread and with two, and OctoMap.
+    assert_eq!(output["mappers"].as_array().unwrap().len(), 11);
 }
 
 #[test]

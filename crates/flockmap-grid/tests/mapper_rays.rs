@@ -18,10 +18,10 @@ fn map(config: MapperConfig, scan: &Scan) -> BTreeSet<(Voxel, i64)> {
     voxels.filter_map(|voxel| Some((voxel, units(voxel)?))).collect()
 }
 
-/// The middles of the voxels in which points lie, each once.
-fn middles(points: &[[f32; 3]]) -> Vec<[f32; 3]> {
-    let voxels: BTreeSet<_> = points.iter().map(|point| point.map(|at| (at / 0.25).floor() as i32)).collect();
-    voxels.into_iter().map(|voxel| voxel.map(|index| (index as f32 + 0.5) * 0.25)).collect()
+/// The first point of each voxel.
+fn firsts(points: &[[f32; 3]], known: &mut BTreeSet<[i32; 3]>) -> Vec<[f32; 3]> {
+    let voxel = |point: &[f32; 3]| point.map(|at| (at / 0.25).floor() as i32);
+    points.iter().copied().filter(|point| known.insert(voxel(point))).collect()
 }
 
 fn points() -> impl Strategy<Value = Vec<[f32; 3]>> {
@@ -32,12 +32,12 @@ fn points() -> impl Strategy<Value = Vec<[f32; 3]>> {
 
 proptest! {
     #[test]
-    fn each_voxel_in_which_rays_end_is_as_one_point_in_its_middle(
+    fn only_the_first_ray_to_a_voxel_is_walked(
         returned in points(), lost in points(),
     ) {
-        let (ends, mut free) = (middles(&returned), middles(&lost));
-        free.retain(|point| !ends.contains(point));
-        let once = Scan { stamp: Stamp(1), points: ends, no_returns: free };
+        let mut known = BTreeSet::new();
+        let (points, no_returns) = (firsts(&returned, &mut known), firsts(&lost, &mut known));
+        let once = Scan { stamp: Stamp(1), points, no_returns };
         let scan = Scan { stamp: Stamp(1), points: returned, no_returns: lost };
         let expected = map(config(Preset::OctoMap, RaysWalked::All), &once);
         prop_assert_eq!(map(config(Preset::OctoMap, RaysWalked::OnePerEndVoxel), &scan), expected);

@@ -1,6 +1,5 @@
 //! `flockmap-bench mapping`: the mapper beside OctoMap, on the same scans in the same run.
 
-use flockmap_cli::outputs;
 mod octomap;
 
 use std::path::PathBuf;
@@ -9,11 +8,14 @@ use std::time::Instant;
 use anyhow::{bail, ensure};
 use clap::Args;
 use flockmap::grid::Mapper;
-use flockmap::{Changes, MapperConfig, Preset, Resolution, Robot, RobotConfig, RobotId, Stamp, State};
+use flockmap::{
+    Changes, MapperConfig, Preset, RaysWalked, Resolution, Robot, RobotConfig, RobotId, Stamp, State,
+};
 use flockmap_cli::document::DataTable;
 use flockmap_cli::measure::{Comparison, TimeSummary, Times, side_by_side};
 use flockmap_cli::numbers::{percent, thousands};
 use flockmap_cli::options::{SourceArgs, resolution};
+use flockmap_cli::outputs;
 use flockmap_cli::sources::{self, Frame};
 use flockmap_cli::{json_file, stop};
 use flockmap_worlds::Lidar;
@@ -49,7 +51,7 @@ pub struct MappingArgs {
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Threads that take in a scan together, a row for each number
-    #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [1, 2])]
+    #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = usual_threads())]
     pub threads: Vec<usize>,
     /// Runs of each mapper: the one with the median time is shown. Every other run goes in the opposite order
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -59,13 +61,20 @@ pub struct MappingArgs {
     pub json: Option<PathBuf>,
 }
 
+/// One, two, and one for each core.
+fn usual_threads() -> Vec<usize> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    if cores > 2 { vec![1, 2, cores] } else { vec![1, 2] }
+}
+
 /// How far the simulated LiDAR sees.
 const LIDAR_RANGE_M: f64 = 30.0;
 
 #[derive(Serialize)]
 struct Output {
     scene: String,
-    lidar: String,
+    /// Of the flight through a world.
+    lidar: Option<String>,
     resolution_m: f64,
     range_m: f64,
     scans: usize,
@@ -104,12 +113,18 @@ struct Differences {
     only_there: u64,
 }
 
+/// By what a map is made, but for the number of threads.
+type Rules = (Preset, RaysWalked);
+
+/// Those that lead to OctoMap's map.
+const LIKE_OCTOMAP: Rules = (Preset::OctoMap, RaysWalked::All);
+
 /// Who makes a map.
 #[derive(Clone, Copy)]
 enum Contestant<'a> {
-    Mapper(Preset, usize),
+    Mapper(Rules, usize),
     /// A whole robot, with the map that it fuses; without what it does between scans.
-    Robot(Preset, usize),
+    Robot(Rules, usize),
     Octomap(&'a Octomap),
 }
 
@@ -129,10 +144,11 @@ pub fn run(args: &MappingArgs) -> anyhow::Result<bool> {
     let rays: usize = frames.iter().map(|frame| frame.scan.points.len() + frame.scan.no_returns.len()).sum();
     let octomap = Octomap::new(&frames);
     let octomap_skipped = octomap.as_ref().err().map(|reason| format!("{reason:#}"));
-    let presets = [Preset::RogMap, Preset::Racer, Preset::OctoMap];
-    let of = |preset| args.threads.iter().map(move |threads| Contestant::Mapper(preset, *threads));
-    let robots = args.threads.iter().map(|threads| Contestant::Robot(Preset::OctoMap, *threads));
-    let contestants = presets.into_iter().flat_map(of).chain(robots);
+    let rules = [Preset::RogMap, Preset::Racer, Preset::OctoMap].map(|preset| (preset, RaysWalked::All));
+    let rules = rules.into_iter().chain([(Preset::OctoMap, RaysWalked::OnePerEndVoxel)]);
+    let of = |rules| args.threads.iter().map(move |threads| Contestant::Mapper(rules, *threads));
+    let robots = args.threads.iter().map(|threads| Contestant::Robot(LIKE_OCTOMAP, *threads));
+    let contestants = rules.flat_map(of).chain(robots);
     let contestants: Vec<Contestant<'_>> =
         contestants.chain(octomap.as_ref().ok().map(Contestant::Octomap)).collect();
 
@@ -152,16 +168,16 @@ pub fn run(args: &MappingArgs) -> anyhow::Result<bool> {
     let results: Vec<Mapped> = runs.into_iter().filter_map(median).collect();
     let maps = || contestants.iter().zip(&results);
     for (who, mapped) in maps() {
-        let first = maps().find(|(other, _)| other.preset() == who.preset()).map(|(_, first)| &first.map);
+        let first = maps().find(|(other, _)| other.rules() == who.rules()).map(|(_, first)| &first.map);
         ensure!(first == Some(&mapped.map), "{} makes another map than with other threads", who.name());
     }
-    let of_octomap = maps().find(|(who, _)| who.preset().is_none()).map(|(_, mapped)| mapped);
-    let ours = maps().find(|(who, _)| who.preset() == Some(Preset::OctoMap)).map(|(_, mapped)| mapped);
+    let of_octomap = maps().find(|(who, _)| who.rules().is_none()).map(|(_, mapped)| mapped);
+    let ours = maps().find(|(who, _)| who.rules() == Some(LIKE_OCTOMAP)).map(|(_, mapped)| mapped);
     let differences = of_octomap.zip(ours).map(|(octomap, ours)| compare(&ours.map, &octomap.map));
     let octomap_ms = of_octomap.map(|mapped| mapped.times.summary().median_ms);
     let output = Output {
         scene: args.scene.display().to_string(),
-        lidar: args.lidar.to_string(),
+        lidar: is_world(args).then(|| args.lidar.to_string()),
         resolution_m: args.resolution,
         range_m: args.range,
         scans: frames.len(),
@@ -183,9 +199,12 @@ fn median(mut runs: Vec<Mapped>) -> Option<Mapped> {
     runs.into_iter().nth(middle)
 }
 
+fn is_world(args: &MappingArgs) -> bool {
+    sources::check_scene(&args.scene).is_ok()
+}
+
 /// The scans of a flight, or of a record.
 fn fly(args: &MappingArgs) -> anyhow::Result<Vec<Frame>> {
-    let is_world = sources::check_scene(&args.scene).is_ok();
     let source = SourceArgs {
         lidar: args.lidar,
         lidar_range: Some(LIDAR_RANGE_M),
@@ -193,7 +212,7 @@ fn fly(args: &MappingArgs) -> anyhow::Result<Vec<Frame>> {
         no_returns: true,
         seed: args.seed,
         robots: 1,
-        seconds: is_world.then_some((args.scans as f64 / 10.0).max(0.1)),
+        seconds: is_world(args).then_some((args.scans as f64 / 10.0).max(0.1)),
         ..SourceArgs::default()
     };
     let flight = sources::open(std::slice::from_ref(&args.scene), &source, args.range, false)?;
@@ -205,9 +224,9 @@ fn fly(args: &MappingArgs) -> anyhow::Result<Vec<Frame>> {
 
 impl Contestant<'_> {
     /// Whose map it makes; `None`: its own.
-    const fn preset(&self) -> Option<Preset> {
+    const fn rules(&self) -> Option<Rules> {
         match self {
-            Self::Mapper(preset, _) | Self::Robot(preset, _) => Some(*preset),
+            Self::Mapper(rules, _) | Self::Robot(rules, _) => Some(*rules),
             Self::Octomap(_) => None,
         }
     }
@@ -215,21 +234,25 @@ impl Contestant<'_> {
     fn name(&self) -> String {
         let counted = |threads: usize| format!("{threads} thread{}", if threads == 1 { "" } else { "s" });
         match self {
-            Self::Mapper(preset, threads) => format!("{preset}, {}", counted(*threads)),
-            Self::Robot(preset, threads) => format!("whole robot, {preset}, {}", counted(*threads)),
+            Self::Mapper((preset, RaysWalked::All), threads) => format!("{preset}, {}", counted(*threads)),
+            Self::Mapper((preset, RaysWalked::OnePerEndVoxel), threads) => {
+                format!("{preset}, one ray an end voxel, {}", counted(*threads))
+            }
+            Self::Robot((preset, _), threads) => format!("whole robot, {preset}, {}", counted(*threads)),
             Self::Octomap(_) => "OctoMap insertPointCloud".to_owned(),
         }
     }
 
     fn run(&self, frames: &[Frame], args: &MappingArgs, resolution: Resolution) -> anyhow::Result<Mapped> {
-        let config = |preset, threads| MapperConfig {
+        let config = |(preset, rays), threads| MapperConfig {
             threads,
+            rays,
             ..MapperConfig::preset(preset, resolution, args.range)
         };
         let mut times = Times::default();
         match *self {
-            Self::Mapper(preset, threads) => {
-                let mut mapper = Mapper::new(config(preset, threads))?;
+            Self::Mapper(rules, threads) => {
+                let mut mapper = Mapper::new(config(rules, threads))?;
                 for frame in frames {
                     let started = Instant::now();
                     mapper.insert(&frame.scan, &frame.pose, &[]);
@@ -237,9 +260,9 @@ impl Contestant<'_> {
                 }
                 Ok(Mapped { times, map: map_of(&mapper), memory_bytes: mapper.memory_bytes() })
             }
-            Self::Robot(preset, threads) => {
+            Self::Robot(rules, threads) => {
                 let mut options = RobotConfig::new(RobotId(1), resolution, args.range);
-                options.mapper = config(preset, threads);
+                options.mapper = config(rules, threads);
                 let mut robot = Robot::new(options, Stamp(0))?;
                 for frame in frames {
                     let started = Instant::now();
@@ -296,9 +319,10 @@ fn compare(ours: &Changes, theirs: &Changes) -> Differences {
 }
 
 fn print(output: &Output) {
+    let of_lidar = output.lidar.as_ref().map(|lidar| format!(" of {lidar}")).unwrap_or_default();
     println!(
-        "{}: {} scans of {} ({:.0} rays each), {} m voxels, {} m range\n",
-        output.scene, output.scans, output.lidar, output.rays_per_scan, output.resolution_m, output.range_m
+        "{}: {} scans{of_lidar} ({:.0} rays each), {} m voxels, {} m range\n",
+        output.scene, output.scans, output.rays_per_scan, output.resolution_m, output.range_m
     );
     let table = DataTable::of_text(
         &output.mappers,

@@ -61,11 +61,13 @@ impl Octomap {
         for line in BufReader::new(running.stdout.take().context("its output is gone")?).lines() {
             let line = line?;
             match line.split_once(' ') {
-                Some(("scan", ms)) => times.0.push(ms.parse()?),
+                Some(("scan", ms)) => {
+                    times.0.push(ms.parse()?);
+                    progress.step();
+                }
                 Some(("memory", bytes)) => memory_bytes = bytes.parse()?,
                 _ => bail!("OctoMap's program says \"{line}\""),
             }
-            progress.step();
             if stop::requested() {
                 running.kill()?;
                 running.wait()?;

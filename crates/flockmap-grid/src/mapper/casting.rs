@@ -3,7 +3,7 @@
 use super::block::MapBlock;
 use super::collect::RayMaker;
 use super::config::Rules;
-use super::rays::{Rays, each};
+use super::rays::Rays;
 use super::tally::{Bits, Pool, Tallies};
 use super::{Mapper, ScanReport, far_key};
 use crate::{BLOCK_VOXELS, BlockIndex, Plane, Scan, StateBlock};
@@ -94,7 +94,7 @@ impl Mapper {
             work.chunks_mut(parts).map(|work| Part { work, touched: Vec::new(), changed: Vec::new() });
         let mut parts: Vec<Part<'_, '_>> = parts.collect();
         let rays = &*rays;
-        each(&mut parts, |part| part.update(rays, &rules, number));
+        rays.workers().each(&mut parts, |part| part.update(rays, &rules, number));
         let parts: Vec<_> = parts.into_iter().map(|part| (part.touched, part.changed)).collect();
         for (touched, changed) in parts {
             report.touched.extend(touched);

@@ -56,8 +56,8 @@ pub enum RaysWalked {
     /// All of them. The default.
     #[default]
     All,
-    /// Of the rays that end in one voxel a single one, to the middle of it, as Bonxai does: less work, and a few per cent
-    /// fewer free voxels. Hits count as ever.
+    /// Of the rays that end in one voxel only the first, in the order of points and then of those without a return: less
+    /// work, and fewer free voxels. Hits count as ever. Bonxai does the like.
     OnePerEndVoxel,
 }
 
@@ -107,8 +107,9 @@ pub struct MapperConfig {
     /// half of counts while lists grow. The worst case is [`Self::memory_max`]. Default 512 MiB.
     #[cfg_attr(feature = "serde", serde(rename = "memory_mb", with = "crate::units::Mebibytes"))]
     pub memory_bytes_max: usize,
-    /// Threads that take in a scan together, one for each 4,096 points at most. 1 to 64; default 1: none is made. The map
-    /// does not depend on it.
+    /// Threads that take in a scan together: the one that calls, and others that sleep between scans. One for each 4,096
+    /// points at most. 1 to 64; default 1: none is made. The map does not depend on it. Where the system makes none, and in
+    /// a fork of the process, the one that calls works alone.
     pub threads: usize,
 }
 

@@ -3,7 +3,7 @@
 //! Where a ray is, is one number with interleaved fields, `[block z][block y][block x][z][y][x]`, three bits each for the
 //! place in the block; a step adds to one field and lets the carry run through the bits between.
 
-use super::collect::Ray;
+use super::ray::Ray;
 use super::tally::LANES;
 use super::window::Window;
 use crate::Voxel;

@@ -1,8 +1,8 @@
 //! The most that a mapper holds, reckoned from its options.
 
 use super::block::MapBlock;
-use super::collect::Ray;
 use super::config::{MapperConfig, RaysWalked};
+use super::ray::Ray;
 use super::rays::TURN;
 use super::submaps::MovedBlock;
 use crate::{BLOCK_SIDE, BLOCK_VOXELS, BlockIndex, Plane, Stamp, StateBlock};
@@ -26,8 +26,9 @@ const FORGET_BYTES: usize = size_of::<FarKey>() + size_of::<BlockIndex>() + MOVE
 const MOVED_BYTES: usize = 3 * size_of::<MovedBlock>();
 /// For each of its points: the ray, and its place in the order; each is made anew when a larger scan comes.
 const POINT_BYTES: usize = 2 * (size_of::<Ray>() + size_of::<u32>());
-/// For each thread: points that it takes more than another one, and how many rays there are of each length.
-const THREAD_BYTES: usize = 2 * TURN * POINT_BYTES + 2 * 1_501 * size_of::<u32>();
+/// For each thread: points that it takes more than another one, and how many rays there are of each length, and
+/// what the pool of threads needs.
+const THREAD_BYTES: usize = 2 * TURN * POINT_BYTES + 2 * 1_501 * size_of::<u32>() + (16 << 10);
 /// Stamps of scans, as long as voxels refer to them; moved to a new place while the list grows.
 const SCAN_STAMPS_BYTES: usize = (1 << 16) * size_of::<Stamp>() * 3 / 2;
 

@@ -8,6 +8,7 @@ mod collect;
 mod config;
 mod group;
 mod memory;
+mod ray;
 mod rays;
 mod revisit;
 mod states;
@@ -15,6 +16,7 @@ mod submaps;
 mod take;
 mod tally;
 mod window;
+mod workers;
 
 use rustc_hash::FxHashMap;
 

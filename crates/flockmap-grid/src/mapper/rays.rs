@@ -5,11 +5,13 @@
 //! ([`tally`](super::tally)); what they counted is added up block by block.
 
 use super::ScanReport;
-use super::collect::{Ray, RayMaker, voxel_of};
+use super::collect::RayMaker;
 use super::config::RaysWalked;
 use super::group::{Group, Start, Walk};
+use super::ray::{Ray, voxel_of};
 use super::tally::{LANES, Once, Pool, STEPS_MAX, Tallies, Tally};
 use super::window::Window;
+use super::workers::Workers;
 use crate::{BlockIndex, Voxel};
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch};
@@ -23,6 +25,7 @@ pub(super) struct Rays<T: Tallies> {
     /// One for each thread; of a small scan fewer are used.
     shares: Vec<Share<T>>,
     used: usize,
+    workers: Workers,
 }
 
 /// The rays that one thread casts, and its counts.
@@ -48,7 +51,12 @@ struct Share<T: Tallies> {
 
 impl<T: Tallies> Rays<T> {
     pub(super) fn new(threads: usize) -> Self {
-        Self { window: Window::default(), shares: (0..threads).map(Share::new).collect(), used: 0 }
+        Self {
+            window: Window::default(),
+            shares: (0..threads).map(Share::new).collect(),
+            used: 0,
+            workers: Workers::new(threads),
+        }
     }
 
     /// Makes the rays of points, in at most so many threads.
@@ -62,7 +70,7 @@ impl<T: Tallies> Rays<T> {
         self.used = threads_max.clamp(1, self.shares.len());
         let count = self.used;
         let level = Level::new();
-        each(&mut self.shares[..count], |share| {
+        self.workers.each(&mut self.shares[..count], |share| {
             dispatch!(level, simd => share.collect(simd, count, maker, points));
         });
         for of_share in self.shares[..count].iter().map(|share| &share.report) {
@@ -71,6 +79,10 @@ impl<T: Tallies> Rays<T> {
             report.ignored += of_share.ignored;
             report.masked += of_share.masked;
         }
+    }
+
+    pub(super) const fn workers(&self) -> &Workers {
+        &self.workers
     }
 
     /// Threads that work on this scan.
@@ -90,19 +102,19 @@ impl<T: Tallies> Rays<T> {
         let window = Window::new(low.block(), high.block());
         self.window = window;
         let start = Start::new(start, from, &window);
-        let shares = &mut self.shares[..self.used];
+        let (workers, shares) = (&self.workers, &mut self.shares[..self.used]);
         if walked == RaysWalked::OnePerEndVoxel {
-            each(shares, |share| {
+            workers.each(shares, |share| {
                 share.count_hits(&window);
                 share.keep_one_per_end_voxel(&window);
             });
             let ends: Vec<Pool<Once>> =
                 shares.iter_mut().map(|share| core::mem::take(&mut share.ends)).collect();
-            each(shares, |share| share.leave_out(&ends[..share.number], &window));
+            workers.each(shares, |share| share.leave_out(&ends[..share.number], &window));
             shares.iter_mut().zip(ends).for_each(|(share, ends)| share.ends = ends);
         }
         let level = Level::new();
-        each(shares, |share| {
+        workers.each(shares, |share| {
             if walked == RaysWalked::All {
                 share.count_hits(&window);
             }
@@ -130,22 +142,6 @@ impl<T: Tallies> Rays<T> {
         }
         (misses, hits)
     }
-}
-
-/// Does something with each, in a thread of its own but the first.
-pub(super) fn each<S: Send>(items: &mut [S], work: impl Fn(&mut S) + Sync) {
-    let Some((first, rest)) = items.split_first_mut() else { return };
-    if rest.is_empty() {
-        work(first);
-        return;
-    }
-    let work = &work;
-    std::thread::scope(|scope| {
-        for item in rest {
-            scope.spawn(move || work(item));
-        }
-        work(first);
-    });
 }
 
 impl<T: Tallies> Share<T> {
@@ -189,15 +185,22 @@ impl<T: Tallies> Share<T> {
         let all = points.iter().map(|(points, _)| points.len()).sum::<usize>();
         self.rays.reserve_exact(all.div_ceil(shares).next_multiple_of(TURN) + TURN);
         self.report = ScanReport::default();
-        for (points, returned) in points {
-            for turn in points.chunks(TURN).skip(self.number).step_by(shares) {
-                for points in turn.chunks(LANES) {
-                    let directions = maker.directions(simd, points);
-                    for lane in 0..points.len() {
-                        let Some((ray, end)) = maker.ray(&directions, lane, returned, &mut self.report)
-                        else {
-                            continue;
-                        };
+        let turns = points.map(|(points, returned)| points.chunks(TURN).map(move |turn| (turn, returned)));
+        let count: usize = turns.iter().map(ExactSizeIterator::len).sum();
+        for (number, (turn, returned)) in turns.into_iter().flatten().enumerate() {
+            let share = match maker.rays() {
+                // Neighbours have about equal lengths, so no share has all of the long ones.
+                RaysWalked::All => number % shares,
+                // In the order of the scan, by which it is known which rays come first.
+                RaysWalked::OnePerEndVoxel => number * shares / count,
+            };
+            if share != self.number {
+                continue;
+            }
+            for points in turn.chunks(LANES) {
+                let directions = maker.directions(simd, points);
+                for lane in 0..points.len() {
+                    if let Some((ray, end)) = maker.ray(&directions, lane, returned, &mut self.report) {
                         self.push(ray, end);
                     }
                 }
@@ -243,7 +246,7 @@ impl<T: Tallies> Share<T> {
         });
     }
 
-    /// Leaves out the rays to voxels in which rays of other shares end.
+    /// Leaves out the rays to voxels in which rays of shares before this one end.
     fn leave_out(&mut self, others: &[Pool<Once>], window: &Window) {
         if !others.is_empty() {
             self.rays.retain(|ray| !others.iter().any(|ends| ends.contains(ray.end_place(window))));
