@@ -108,8 +108,8 @@ pub struct MapperConfig {
     #[cfg_attr(feature = "serde", serde(rename = "memory_mb", with = "crate::units::Mebibytes"))]
     pub memory_bytes_max: usize,
     /// Threads that take in a scan together: the one that calls, and others that sleep between scans. One for each 4,096
-    /// points at most. 1 to 64; default 1: none is made. The map does not depend on it. Where the system makes none, and in
-    /// a fork of the process, the one that calls works alone.
+    /// points at most. 1 to 64; default 1: none is made. In the file of a node: half of the cores, at most 4. The map does
+    /// not depend on it. Where the system makes none, and in a fork of the process, the one that calls works alone.
     pub threads: usize,
 }
 

@@ -258,9 +258,23 @@ fn a_preset_lies_below_what_is_given() {
     let session = parse(&format!("{MINIMAL}{text}")).unwrap().session;
     let expected = SessionConfig { push: true, snapshot_range_max: None, ..SessionConfig::paper() };
     assert_eq!(session, expected);
-    let map = parse(&format!("{MINIMAL}mapper = \"racer\"\np_hit = 0.8\nmemory_mb = 1\n")).unwrap().map;
+    let map = parse(&format!("{MINIMAL}mapper = \"racer\"\np_hit = 0.8\nmemory_mb = 1\nthreads = 3\n"));
+    let map = map.unwrap().map;
     let preset = MapperConfig::preset(Preset::Racer, map.resolution, 7.0);
-    assert_eq!(map, MapperConfig { p_hit: 0.8, memory_bytes_max: 1 << 20, ..preset });
+    assert_eq!(map, MapperConfig { p_hit: 0.8, memory_bytes_max: 1 << 20, threads: 3, ..preset });
+}
+
+#[test]
+fn a_node_maps_with_half_of_the_cores_and_four_threads_at_most() {
+    let cores = std::thread::available_parallelism().unwrap().get();
+    let threads = parse(MINIMAL).unwrap().map.threads;
+    assert!((1..=4).contains(&threads) && (threads == 1 || 2 * threads <= cores), "{threads} of {cores}");
+    assert!(threads == 4 || 2 * (threads + 1) > cores, "{threads} of {cores}");
+    let wrong = parse(&format!("{MINIMAL}threads = 65\n")).and_then(|config| {
+        let robot = config.robot(1).map_err(|error| error.to_string())?;
+        flockmap::Mapper::new(robot.mapper).map(drop).map_err(|error| error.to_string())
+    });
+    assert_eq!(wrong, Err("threads is 65, expected 1 to 64".to_owned()));
 }
 
 #[test]
