@@ -3,8 +3,8 @@
 use super::config::{MapperConfig, RaysWalked};
 use super::group::integers;
 use super::ray::{Ray, voxel_of};
+use super::report::{ScanReport, Sphere};
 use super::tally::LANES;
-use super::{ScanReport, Sphere};
 use crate::{Pose, Voxel};
 use fearless_simd::f64x8;
 use fearless_simd::prelude::*;

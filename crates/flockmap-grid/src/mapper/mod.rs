@@ -7,9 +7,11 @@ mod casting;
 mod collect;
 mod config;
 mod group;
+mod insert;
 mod memory;
 mod ray;
 mod rays;
+mod report;
 mod revisit;
 mod states;
 mod submaps;
@@ -21,15 +23,15 @@ mod workers;
 use rustc_hash::FxHashMap;
 
 use crate::memory::table_bytes;
-use crate::{BlockIndex, Plane, Pose, Scan, Stamp, State, StateBlock, Voxel, voxel_bit};
+use crate::{BlockIndex, Plane, Stamp, State, StateBlock, Voxel, voxel_bit};
 use block::MapBlock;
 use blocks::Blocks;
 use casting::Casting;
-use collect::RayMaker;
 use config::Rules;
 pub use config::{ConfigError, LOG_ODDS_UNITS_PER_NAT, MapperConfig, Preset, RaysWalked};
 pub use memory::MAP_BLOCK_BYTES;
 use memory::{ENTRY_BYTES, FarKey, LISTED_BYTES, PENDING_BYTES};
+pub use report::{ScanReport, Sphere};
 pub(crate) use revisit::OwnBlocks;
 pub use submaps::MovedBlock;
 use submaps::Submaps;
@@ -52,41 +54,6 @@ pub struct Mapper {
     /// Stamp of scan, or update with states, number `i + 1`.
     scan_stamps: Vec<Stamp>,
     submaps: Submaps,
-}
-
-/// A sphere in the frame of the map, in metres.
-#[derive(Clone, Copy, PartialEq, Debug)]
-pub struct Sphere {
-    /// Its centre.
-    pub centre: [f64; 3],
-    /// Its radius.
-    pub radius: f64,
-}
-
-/// What became of a scan, or of an update with states, which has no rays.
-#[derive(Clone, PartialEq, Debug, Default)]
-pub struct ScanReport {
-    /// When it counts as made.
-    pub stamp: Stamp,
-    /// Where the sensor was, in metres in the frame of the map; of states without that, what stands for it, if anything
-    /// was touched.
-    pub sensor: Option<[f64; 3]>,
-    /// Blocks with touched voxels, and which.
-    pub touched: Vec<(BlockIndex, Plane)>,
-    /// Voxels that are Free or Occupied now and were not before this scan.
-    pub changed: Vec<(BlockIndex, StateBlock)>,
-    /// Blocks that were forgotten under the byte cap, or not even taken in, ascending.
-    pub forgotten: Vec<BlockIndex>,
-    /// Blocks in which what was known is not any more, or not in the same submap.
-    pub moved: Vec<MovedBlock>,
-    /// Rays that ended with a hit.
-    pub hits: usize,
-    /// Rays that were cut, or came back with nothing: they carve free space only.
-    pub cut: usize,
-    /// Points that were ignored: not finite, too near, or too far out for voxel indices.
-    pub ignored: usize,
-    /// Points that were ignored since they lie on a team-mate.
-    pub masked: usize,
 }
 
 /// Which changes to take.
@@ -124,46 +91,6 @@ impl Mapper {
     /// Its configuration.
     pub const fn config(&self) -> &MapperConfig {
         &self.config
-    }
-
-    /// Takes in one scan made at `T_map_sensor`. Points inside one of the spheres of `teammates` are ignored,
-    /// so that a robot in sight does not become an obstacle. With a pose that is none, or beyond the grid
-    /// ([`Pose::check`]), the whole scan is ignored.
-    ///
-    /// Cost: about one nanosecond a voxel passed by a ray; memory for what is touched for the first time.
-    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub fn insert(&mut self, scan: &Scan, T_map_sensor: &Pose, teammates: &[Sphere]) -> ScanReport {
-        self.insert_at(scan.stamp, scan, T_map_sensor, teammates)
-    }
-
-    /// The same with another stamp in place of the scan's own.
-    #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
-    pub fn insert_at(
-        &mut self,
-        stamp: Stamp,
-        scan: &Scan,
-        T_map_sensor: &Pose,
-        teammates: &[Sphere],
-    ) -> ScanReport {
-        let mut report = ScanReport { stamp, ..ScanReport::default() };
-        if T_map_sensor.check(self.config.resolution).is_err() {
-            report.ignored = scan.points.len() + scan.no_returns.len();
-            return report;
-        }
-        self.place = Some(T_map_sensor.translation());
-        report.sensor = self.place;
-        let rays = RayMaker::new(&self.config, T_map_sensor, teammates);
-        let number = self.next_scan_number(stamp);
-        // Out of the way, so that the map can be changed by what they say.
-        let mut casting = core::mem::take(&mut self.casting);
-        match &mut casting {
-            Casting::Once(counts) => self.take_in(counts, scan, &rays, number, &mut report),
-            Casting::Bytes(counts) => self.take_in(counts, scan, &rays, number, &mut report),
-            Casting::Words(counts) => self.take_in(counts, scan, &rays, number, &mut report),
-        }
-        self.casting = casting;
-        self.note_tables();
-        report
     }
 
     /// Lets a block be changed, made if it is not there, and notes what came of it: `change` says which voxels it

@@ -4,11 +4,11 @@
 //! 1987), eight of about equal length in step ([`group`](super::group)). Each thread has rays and counts of its own
 //! ([`tally`](super::tally)); what they counted is added up block by block.
 
-use super::ScanReport;
 use super::collect::RayMaker;
 use super::config::RaysWalked;
 use super::group::{Group, Start, Walk};
 use super::ray::{Ray, voxel_of};
+use super::report::ScanReport;
 use super::tally::{LANES, Once, Pool, STEPS_MAX, Tallies, Tally};
 use super::window::Window;
 use super::workers::Workers;
