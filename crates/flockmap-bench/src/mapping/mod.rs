@@ -1,5 +1,6 @@
 //! `flockmap-bench mapping`: the mapper beside OctoMap, on the same scans in the same run.
 
+mod mapped;
 mod octomap;
 
 use std::path::PathBuf;
@@ -19,6 +20,7 @@ use flockmap_cli::outputs;
 use flockmap_cli::sources::{self, Frame};
 use flockmap_cli::{json_file, stop};
 use flockmap_worlds::Lidar;
+use mapped::Mapped;
 use octomap::Octomap;
 use serde::Serialize;
 
@@ -126,13 +128,6 @@ enum Contestant<'a> {
     /// A whole robot, with the map that it fuses; without what it does between scans.
     Robot(Rules, usize),
     Octomap(&'a Octomap),
-}
-
-/// What came of a run.
-struct Mapped {
-    times: Times,
-    map: Changes,
-    memory_bytes: usize,
 }
 
 /// Runs the command.

@@ -1,6 +1,6 @@
 //! OctoMap's half, in C++.
 
-use super::Mapped;
+use super::mapped::Mapped;
 use anyhow::{Context, anyhow, bail, ensure};
 use flockmap::codec::bytes::Reader;
 use flockmap::{Changes, State, Voxel};
