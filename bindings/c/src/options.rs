@@ -175,6 +175,8 @@ fn config_of(options: &Options) -> Result<RobotConfig, Failure> {
 
 /// Makes a robot from the text of a node's configuration: `crates/flockmap-node/robot.example.toml` has every option.
 ///
+/// The mapper has the threads that `[map] threads` says; where it does not, half of the cores, at most 4.
+///
 /// Sections that are for a node (network, sensor, map_output, store, state, metrics, output) are checked and not used:
 /// sockets and files are the caller's. A swarm key is taken from the text or the file that it names, not from the
 /// environment. `toml` ends with a 0, is UTF-8 of at most 1 MiB, and not kept. `epoch`, `now_us` and `robot` as for

@@ -90,7 +90,8 @@ impl Robot {
     }
 
     /// A robot with the options of a node's configuration: `crates/flockmap-node/robot.example.toml` shows all. Sections
-    /// about sockets and files are checked and not used.
+    /// about sockets and files are checked and not used. The mapper has the threads that `[map] threads` says; where it
+    /// does not, half of the cores, at most 4.
     ///
     /// config: the path of a file, or a text of TOML (a str with a line break).
     /// epoch, now: as above.

@@ -3,6 +3,7 @@
 use flockmap_grid::{
     Mapper, MapperConfig, Pose, Preset, RaysWalked, Resolution, Scan, ScanReport, Sphere, Stamp, Voxel,
 };
+use proptest::prelude::*;
 
 /// Points all around, at 0.5 to 5 m, some of them with nothing there.
 fn scan(random: &mut impl FnMut() -> f64, stamp: i64, points: usize) -> Scan {
@@ -39,9 +40,19 @@ fn patient(resolution: Resolution) -> MapperConfig {
 
 #[test]
 fn any_number_of_threads_makes_the_same_map_and_says_the_same_of_it() {
-    let seed = std::env::var("SEED").map_or(7, |seed| seed.parse().unwrap());
-    println!("seed {seed} (SEED=...)");
-    let mut state: u64 = seed;
+    compare(7);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2, max_shrink_iters: 0, ..ProptestConfig::default() })]
+    #[test]
+    fn so_it_is_with_fresh_seeds(seed: u64) {
+        compare(seed);
+    }
+}
+
+fn compare(seed: u64) {
+    let mut state = seed;
     let mut random = move || {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         (state >> 40) as f64 / (1u64 << 24) as f64

@@ -17,6 +17,7 @@ use flockmap_cli::measure::{Comparison, TimeSummary, Times, side_by_side};
 use flockmap_cli::numbers::{percent, thousands};
 use flockmap_cli::options::{SourceArgs, resolution};
 use flockmap_cli::outputs;
+use flockmap_cli::parallel::cores;
 use flockmap_cli::sources::{self, Frame};
 use flockmap_cli::{json_file, stop};
 use flockmap_worlds::Lidar;
@@ -65,7 +66,7 @@ pub struct MappingArgs {
 
 /// One, two, and one for each core.
 fn usual_threads() -> Vec<usize> {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = cores();
     if cores > 2 { vec![1, 2, cores] } else { vec![1, 2] }
 }
 

@@ -5,7 +5,7 @@ use super::rays::Rays;
 use super::tally::{Bits, Pool};
 use crate::BLOCK_VOXELS;
 
-/// The rays of a scan, with the smallest counts that the rules allow.
+/// By how often a voxel can count in one scan.
 pub(super) enum Casting {
     Once(Rays<Bits>),
     Bytes(Rays<Pool<[u8; BLOCK_VOXELS]>>),
@@ -22,6 +22,7 @@ impl Casting {
     }
 }
 
+/// What stands in its place while a scan is taken in: it can take in none.
 impl Default for Casting {
     fn default() -> Self {
         Self::Once(Rays::new(0))

@@ -40,10 +40,10 @@ impl Start {
     }
 }
 
-/// A number of 32 bits as the low bits of a float: they are those of the float that comes of adding this.
+/// 1.5 · 2⁵²: added to a whole number of 32 bits, it leaves that number in the low bits of the float.
 const WHOLE: f64 = 6_755_399_441_055_744.0;
 
-/// Whole numbers of less than 2³¹ as integers.
+/// Whole numbers of at most 32 bits as integers; of others the low bits, or any.
 #[inline(always)]
 pub(super) fn integers<S: Simd>(simd: S, whole: f64x8<S>) -> [i32; LANES] {
     let mut shifted = [0.0; LANES];

@@ -10,8 +10,8 @@ use super::tally::Tallies;
 use super::{Mapper, far_key};
 use crate::{BlockIndex, Plane, Pose, Scan, Stamp, StateBlock};
 
-/// Points for which one more thread is worth its while.
-const WORTH: usize = 4_096;
+/// Fewer points than this are not worth one more thread.
+const POINTS_PER_THREAD: usize = 4_096;
 
 /// A touched block, and the place of its counts.
 struct Work<'a> {
@@ -33,7 +33,8 @@ impl Mapper {
     /// so that a robot in sight does not become an obstacle. With a pose that is none, or beyond the grid
     /// ([`Pose::check`]), the whole scan is ignored.
     ///
-    /// Cost: about one nanosecond a voxel passed by a ray; memory for what is touched for the first time.
+    /// Cost: grows with the voxels that rays pass (times of LiDARs: `BENCHMARK.md`); memory for what is touched for the
+    /// first time.
     #[expect(non_snake_case, reason = "T_a_b is how the field writes poses")]
     pub fn insert(&mut self, scan: &Scan, T_map_sensor: &Pose, teammates: &[Sphere]) -> ScanReport {
         self.insert_at(scan.stamp, scan, T_map_sensor, teammates)
@@ -79,7 +80,7 @@ impl Mapper {
     ) {
         let points = scan.points.len() + scan.no_returns.len();
         rays.collect(
-            (points / WORTH).max(1),
+            (points / POINTS_PER_THREAD).max(1),
             maker,
             [(&scan.points, true), (&scan.no_returns, false)],
             report,

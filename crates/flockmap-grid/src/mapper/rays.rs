@@ -253,7 +253,7 @@ impl<T: Tallies> Share<T> {
         }
     }
 
-    /// Longest first, equal lengths in the order of the scan, so that the rays of a group end together.
+    /// Longest first, so that the rays of a group end together.
     fn sort_by_length(&mut self) {
         let longest = self.rays.iter().map(|ray| ray.length).max().unwrap_or(0) as usize;
         let mut starts = vec![0u32; longest + 2];
