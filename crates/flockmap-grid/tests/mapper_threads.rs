@@ -46,7 +46,7 @@ fn any_number_of_threads_makes_the_same_map_and_says_the_same_of_it() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 2, max_shrink_iters: 0, ..ProptestConfig::default() })]
     #[test]
-    fn so_it_is_with_fresh_seeds(seed: u64) {
+    fn any_number_of_threads_makes_the_same_map_with_fresh_seeds(seed: u64) {
         compare(seed);
     }
 }
