@@ -27,7 +27,7 @@ const REFILL_BELOW: u64 = 1 << 32;
 
 /// Moves a probability towards what has happened, by one in 2ʳᵃᵗᵉ. It stays in 1 … 65,535.
 #[inline(always)]
-fn learn(probability: &mut Probability, bit: bool, rate: u32) {
+pub fn learn(probability: &mut Probability, bit: bool, rate: u32) {
     if bit {
         *probability += (65_535 - *probability) >> rate;
     } else {
@@ -43,6 +43,9 @@ pub trait CodeBit {
 
     /// Passes a bit, which is set with this probability; the probability learns by one in 2ʳᵃᵗᵉ.
     fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool;
+
+    /// Passes a bit, which is set with this probability.
+    fn pass(&mut self, probability: Probability, truth: bool) -> bool;
 
     /// The same direction.
     type Own<'b>: CodeBit
@@ -76,6 +79,7 @@ impl<'a> BitWriter<'a> {
     }
 
     /// Writes a bit that is set with this probability.
+    #[inline(always)]
     pub fn put(&mut self, probability: Probability, bit: bool) {
         self.take((self.range >> 16) * u64::from(probability), bit);
     }
@@ -168,6 +172,12 @@ impl CodeBit for BitWriter<'_> {
         truth
     }
 
+    #[inline(always)]
+    fn pass(&mut self, probability: Probability, truth: bool) -> bool {
+        self.put(probability, truth);
+        truth
+    }
+
     type Own<'b>
         = BitWriter<'b>
     where
@@ -228,6 +238,7 @@ impl<'a> BitReader<'a> {
     }
 
     /// The next bit, which was written with this probability.
+    #[inline(always)]
     pub fn get(&mut self, probability: Probability) -> bool {
         self.take((self.range >> 16) * u64::from(probability))
     }
@@ -276,6 +287,11 @@ impl<'a> CodeBit for BitReader<'a> {
             self.refill();
             false
         }
+    }
+
+    #[inline(always)]
+    fn pass(&mut self, probability: Probability, _: bool) -> bool {
+        self.get(probability)
     }
 
     type Own<'b>

@@ -64,25 +64,43 @@ fn is_of_obstacles(changes: &Changes) -> bool {
 fn learn(samples: &[Sample<'_>], progress: &Progress) -> Trainer {
     let mut trainer = Trainer::new();
     for _ in 0..ROUNDS {
-        for Sample { recording, chosen } in samples {
-            let mut chosen = chosen.iter().copied().peekable();
-            // What those who receive the robot hold before each batch. Nothing after the last chosen batch
-            // matters.
-            let mut layer = Layer::default();
-            for (number, (batch, changes)) in recording.batches.iter().enumerate() {
-                if chosen.next_if_eq(&number).is_some() {
-                    trainer.learn(&layer, batch, changes);
-                }
-                if chosen.peek().is_none() {
-                    break;
-                }
-                layer.apply(changes, batch.end);
+        // One batch of each recording in turns: what is learned last counts most, and should be of all.
+        let mut receivers: Vec<_> = samples.iter().map(Receiver::new).collect();
+        for turn in 0..samples.iter().map(|sample| sample.chosen.len()).max().unwrap_or(0) {
+            for receiver in &mut receivers {
+                receiver.learn(turn, &mut trainer);
             }
         }
         trainer.end_round();
         progress.step();
     }
     trainer
+}
+
+/// What those who receive the robot of a recording hold.
+struct Receiver<'a> {
+    sample: &'a Sample<'a>,
+    layer: Layer,
+    /// Batches that are in the layer.
+    held: usize,
+}
+
+impl<'a> Receiver<'a> {
+    fn new(sample: &'a Sample<'a>) -> Self {
+        Self { sample, layer: Layer::default(), held: 0 }
+    }
+
+    /// Goes on to the chosen batch of this turn, if there is one, and learns from it.
+    fn learn(&mut self, turn: usize, trainer: &mut Trainer) {
+        let Some(chosen) = self.sample.chosen.get(turn) else { return };
+        let batches = &self.sample.recording.batches;
+        for (batch, changes) in &batches[self.held..*chosen] {
+            self.layer.apply(changes, batch.end);
+        }
+        self.held = *chosen;
+        let (batch, changes) = &batches[*chosen];
+        trainer.learn(&self.layer, batch, changes);
+    }
 }
 
 #[cfg(test)]

@@ -12,6 +12,8 @@ use super::neighbourhood::{Neighbourhood, ROW, SLICE, middle};
 use super::orientation::{Distance, TurnedChanges};
 use super::planes::swapped_in_word;
 use super::rays::Rays;
+use super::row_contexts::{self, RowFlag};
+use super::wide::Wide;
 
 // Contexts of flags. The first 2,268 are for the flag of a block, see `flags.rs`.
 const FREE_TO_OCCUPIED_IN_BLOCK: usize = 2_300;
@@ -128,7 +130,10 @@ impl<D: Decide> Block<'_, D> {
         let class = usize::from(occupied(around) != 0)
             + 2 * usize::from(occupied(own) != 0)
             + 4 * usize::from(new(around) != 0);
-        if !self.decide.flag(FREE_TO_OCCUPIED_IN_ROW + class, truth.occupied & voxels != 0) {
+        let cells = &*self.cells;
+        let places = || row_contexts::places(cells, at, voxels, class);
+        let may = truth.occupied & voxels != 0;
+        if !self.decide.row_flag(RowFlag::FreeToOccupied, FREE_TO_OCCUPIED_IN_ROW + class, places, may) {
             return;
         }
         for bit in bits_of(voxels) {
@@ -163,7 +168,10 @@ impl<D: Decide> Block<'_, D> {
         let voxels = unknown(own);
         let kind = match self.row_class(at, own, voxels) {
             RowClass::Cold(class) => {
-                if !self.decide.flag(COLD_ROW + class, (truth.free | truth.occupied) & voxels != 0) {
+                let cells = &*self.cells;
+                let places = || row_contexts::places(cells, at, voxels, class);
+                let is_seen = (truth.free | truth.occupied) & voxels != 0;
+                if !self.decide.row_flag(RowFlag::Cold, COLD_ROW + class, places, is_seen) {
                     return;
                 }
                 self.is_surprised = true;
@@ -180,7 +188,9 @@ impl<D: Decide> Block<'_, D> {
             RowClass::Hot => RowKind::Ordinary,
         };
         let row = self.contexts(at, voxels, kind);
-        let coded = self.decide.row(&row, truth);
+        let (cells, is_by_rows) = (&*self.cells, self.rays.is_by_rows);
+        let slopes = [self.rays.slope_x, self.rays.slope_y((at & 15).wrapping_sub(3))];
+        let coded = self.decide.row(&row, || Wide::of(cells, at, is_by_rows, slopes), truth);
         self.note(at, coded);
     }
 

@@ -11,6 +11,7 @@ use super::log2::log2;
 use super::model::Model;
 use super::order::Changed;
 use super::orientation::Orientation;
+use super::wide::Wide;
 use super::tables::{TableSet, Tables, voxel_probability};
 use flockmap_coder::Probability;
 
@@ -93,18 +94,18 @@ impl Decide for Trial {
         truth
     }
 
-    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+    fn row(&mut self, row: &UnknownRow, _: impl Fn() -> Wide, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }
 
 impl DecideVoxel for Trial {
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], _: usize, truth: bool) -> bool {
         self.pay(truth, |tables| tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))]);
         truth
     }
 
-    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
+    fn kind(&mut self, contexts: [u16; 2], _: usize, truth: bool) -> bool {
         self.pay(truth, |tables| tables.start.kind[usize::from(tables.kind.of(contexts))]);
         truth
     }

@@ -2,9 +2,12 @@
 
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::mixing::{self, Lesson, START, Weights};
+use super::row_contexts::{ROW_FLAGS, ROW_PLACES, RowFlag};
 use super::tables::{
-    KIND_PROBABILITIES, Levels, Probabilities, Tables, VOXEL_PROBABILITIES, voxel_probability,
+    KIND_PROBABILITIES, Probabilities, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
+use super::wide::{VOXEL_SUMS, Wide};
 use crate::work;
 use flockmap_coder::{CodeBit, Probability};
 
@@ -18,15 +21,24 @@ const FLAG_RATE: u32 = 6;
 pub(crate) struct Coding<'a, B> {
     probabilities: &'a mut Probabilities,
     tables: &'static Tables,
+    weights: AllWeights,
     pub(crate) bits: B,
     /// Steps of work for those that have been made.
     pub(crate) steps: u64,
 }
 
+/// The weights of each sort of decision that is mixed.
+struct AllWeights {
+    voxel: Weights,
+    kind: Weights,
+    row: [Weights; ROW_FLAGS],
+}
+
 impl<'a, B> Coding<'a, B> {
     pub(crate) fn new(tables: &'static Tables, probabilities: &'a mut Probabilities, bits: B) -> Self {
         probabilities.clone_from(&tables.start);
-        Self { probabilities, tables, bits, steps: 0 }
+        let weights = AllWeights { voxel: START, kind: START, row: [START; ROW_FLAGS] };
+        Self { probabilities, tables, weights, bits, steps: 0 }
     }
 }
 
@@ -40,34 +52,86 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     }
 
     #[inline]
-    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+    fn row_flag(
+        &mut self,
+        flag: RowFlag,
+        context: usize,
+        places: impl FnOnce() -> [usize; ROW_PLACES],
+        truth: bool,
+    ) -> bool {
+        self.steps += work::DECISION_STEPS;
+        let probability = &mut self.probabilities.flag[context];
+        if mixing::is_sure(*probability) {
+            return self.bits.code(probability, truth, FLAG_RATE);
+        }
+        let values = &self.tables.sums.row[flag as usize];
+        let sum = places().into_iter().map(|place| i32::from(values[place])).sum();
+        let weights = &mut self.weights.row[flag as usize];
+        let mut lesson = Lesson::default();
+        let bit = mixing::code(&mut self.bits, probability, sum, weights, &mut lesson, truth, FLAG_RATE);
+        weights.learn(lesson);
+        bit
+    }
+
+    #[inline]
+    fn row(&mut self, row: &UnknownRow, wide: impl Fn() -> Wide, truth: Bits) -> Bits {
         let Probabilities { voxel, kind, .. } = &mut *self.probabilities;
-        let levels = [&*self.tables.voxel, &self.tables.kind];
-        let coded =
-            self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, levels, bits }, row, truth));
+        let (tables, weights) = (self.tables, [self.weights.voxel, self.weights.kind]);
+        let (coded, [of_voxel, of_kind]) = self.bits.in_registers(|bits| {
+            let lessons = [Lesson::default(); 2];
+            let mut coding = RowCoding { voxel, kind, tables, bits, make: wide, wide: None, weights, lessons };
+            let coded = voxels(&mut coding, row, truth);
+            (coded, coding.lessons)
+        });
+        self.weights.voxel.learn(of_voxel);
+        self.weights.kind.learn(of_kind);
         let made = row.voxels.count_ones() + (coded.free | coded.occupied).count_ones();
         self.steps += work::ROW_STEPS + u64::from(made);
         coded
     }
 }
 
-struct RowCoding<'a, B> {
+struct RowCoding<'a, B, F> {
     voxel: &'a mut [Probability; VOXEL_PROBABILITIES],
     kind: &'a mut [Probability; KIND_PROBABILITIES],
-    /// Of a voxel that may have been seen, and of one that was.
-    levels: [&'static Levels; 2],
+    tables: &'static Tables,
     bits: &'a mut B,
+    make: F,
+    /// Made when a decision needs it first.
+    wide: Option<Wide>,
+    /// Of a voxel that may have been seen, and of one that was.
+    weights: [Weights; 2],
+    lessons: [Lesson; 2],
 }
 
-impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
+impl<B, F: Fn() -> Wide> RowCoding<'_, B, F> {
     #[inline(always)]
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        let probability = &mut self.voxel[voxel_probability(kind, self.levels[0].of(contexts))];
-        self.bits.code(probability, truth, VOXEL_RATE)
+    fn sum(&mut self, values: &[i8; VOXEL_SUMS], contexts: [u16; 2], x: usize) -> i32 {
+        let wide = self.wide.get_or_insert_with(&self.make);
+        wide.places(contexts, x).into_iter().map(|place| i32::from(values[place])).sum()
+    }
+}
+
+impl<B: CodeBit, F: Fn() -> Wide> DecideVoxel for RowCoding<'_, B, F> {
+    #[inline(always)]
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], x: usize, truth: bool) -> bool {
+        let at = voxel_probability(kind, self.tables.voxel.of(contexts));
+        if mixing::is_sure(self.voxel[at]) {
+            return self.bits.code(&mut self.voxel[at], truth, VOXEL_RATE);
+        }
+        let sum = self.sum(&self.tables.sums.voxel, contexts, x);
+        let (weights, lesson) = (&self.weights[0], &mut self.lessons[0]);
+        mixing::code(self.bits, &mut self.voxel[at], sum, weights, lesson, truth, VOXEL_RATE)
     }
 
     #[inline(always)]
-    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
-        self.bits.code(&mut self.kind[usize::from(self.levels[1].of(contexts))], truth, KIND_RATE)
+    fn kind(&mut self, contexts: [u16; 2], x: usize, truth: bool) -> bool {
+        let at = usize::from(self.tables.kind.of(contexts));
+        if mixing::is_sure(self.kind[at]) {
+            return self.bits.code(&mut self.kind[at], truth, KIND_RATE);
+        }
+        let sum = self.sum(&self.tables.sums.kind, contexts, x);
+        let (weights, lesson) = (&self.weights[1], &mut self.lessons[1]);
+        mixing::code(self.bits, &mut self.kind[at], sum, weights, lesson, truth, KIND_RATE)
     }
 }

@@ -1,6 +1,8 @@
 //! The decisions that a block is made of. Writing, reading and training each have an implementation.
 
 use super::cells::Bits;
+use super::row_contexts::{ROW_PLACES, RowFlag};
+use super::wide::Wide;
 
 /// Makes or follows decisions. `truth` is what the writer knows; a reader does not look at it.
 pub(crate) trait Decide {
@@ -9,8 +11,19 @@ pub(crate) trait Decide {
 
     /// A bit with a probability of its own.
     fn flag(&mut self, context: usize, truth: bool) -> bool;
-    /// The unknown voxels of a row.
-    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits;
+    /// A flag of a row, with what else its sums look at.
+    #[inline]
+    fn row_flag(
+        &mut self,
+        _: RowFlag,
+        context: usize,
+        _: impl FnOnce() -> [usize; ROW_PLACES],
+        truth: bool,
+    ) -> bool {
+        self.flag(context, truth)
+    }
+    /// The unknown voxels of a row; `wide` is what is round it.
+    fn row(&mut self, row: &UnknownRow, wide: impl Fn() -> Wide, truth: Bits) -> Bits;
 }
 
 /// The unknown voxels of a row and what is around each.
@@ -39,9 +52,9 @@ pub(crate) enum RowKind {
 /// The decisions of voxels, one by one.
 pub(crate) trait DecideVoxel {
     /// Whether an unknown voxel was seen.
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool;
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], x: usize, truth: bool) -> bool;
     /// Whether a newly seen voxel is Occupied.
-    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool;
+    fn kind(&mut self, contexts: [u16; 2], x: usize, truth: bool) -> bool;
 }
 
 /// Goes through the voxels of a row.
@@ -59,11 +72,11 @@ pub(crate) fn voxels<D: DecideVoxel>(decide: &mut D, row: &UnknownRow, truth: Bi
         let x = left.trailing_zeros() as usize & 7;
         left &= left - 1;
         let contexts = [u16::from_le_bytes([near_low[x], near_high[x]]), ray(x)];
-        if decide.voxel(kind, contexts, seen >> x & 1 != 0) {
+        if decide.voxel(kind, contexts, x, seen >> x & 1 != 0) {
             if kind == RowKind::Surprise {
                 kind = RowKind::Found;
             }
-            let is_occupied = decide.kind(contexts, truth.occupied >> x & 1 != 0);
+            let is_occupied = decide.kind(contexts, x, truth.occupied >> x & 1 != 0);
             if is_occupied {
                 coded.occupied |= 1 << x;
             } else {

@@ -7,6 +7,8 @@
 //! has all that a decision may look at. `section` is the payload; `batch` and `snapshot` are made of it, or
 //! where there is no pattern of `gap_coding`.
 
+#[cfg(feature = "training")]
+mod adding;
 mod batch;
 mod block;
 mod block_box;
@@ -21,15 +23,19 @@ mod habits;
 mod head;
 mod known;
 mod log2;
+mod mixing;
 mod model;
 mod neighbourhood;
 mod order;
+mod odds;
 mod orientation;
 mod planes;
 mod rays;
+mod row_contexts;
 mod section;
 mod snapshot;
 mod tables;
+mod wide;
 #[cfg(feature = "training")]
 pub mod training;
 

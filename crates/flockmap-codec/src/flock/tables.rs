@@ -7,6 +7,8 @@
 use std::sync::OnceLock;
 
 use super::decide::RowKind;
+use super::row_contexts::{ROW_FLAGS, ROW_SUMS};
+use super::wide::VOXEL_SUMS;
 use crate::deflate::inflate_exact;
 use flockmap_coder::Probability;
 
@@ -68,7 +70,24 @@ impl Levels {
     }
 }
 
-/// One set of tables, 230 KB.
+/// What contexts add to the log-odds of a decision, beside what its adaptive probability says.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(crate) struct Sums<T> {
+    /// Of a voxel that may have been seen.
+    pub(crate) voxel: [T; VOXEL_SUMS],
+    /// Of one that was: whether it is Occupied.
+    pub(crate) kind: [T; VOXEL_SUMS],
+    /// Of flags of rows, by [`RowFlag`](super::row_contexts::RowFlag).
+    pub(crate) row: [[T; ROW_SUMS]; ROW_FLAGS],
+}
+
+impl Sums<i8> {
+    pub(crate) fn none() -> Box<Self> {
+        Box::new(Self { voxel: [0; VOXEL_SUMS], kind: [0; VOXEL_SUMS], row: [[0; ROW_SUMS]; ROW_FLAGS] })
+    }
+}
+
+/// One set of tables, 540 KB.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Tables {
     /// How likely an unknown voxel was seen.
@@ -76,6 +95,7 @@ pub(crate) struct Tables {
     /// How likely a voxel that was seen is Occupied.
     pub(crate) kind: Box<Levels>,
     pub(crate) start: Box<Probabilities>,
+    pub(crate) sums: Box<Sums<i8>>,
 }
 
 /// Sets of tables, in the order in which they are shipped.
@@ -111,7 +131,9 @@ impl TableSet {
 
 /// Bytes of one set, as they are before zlib.
 pub(crate) const SET_BYTES: usize =
-    2 * (NEAR_CONTEXTS + RAY_CONTEXTS + VOXEL_PROBABILITIES + KIND_PROBABILITIES + FLAG_CONTEXTS);
+    2 * (NEAR_CONTEXTS + RAY_CONTEXTS + VOXEL_PROBABILITIES + KIND_PROBABILITIES + FLAG_CONTEXTS)
+        + 2 * VOXEL_SUMS
+        + ROW_FLAGS * ROW_SUMS;
 
 /// The tables that are shipped, one zlib stream of all sets in their order. Anything else would be another
 /// codec.
@@ -158,7 +180,13 @@ impl Tables {
             kind: probabilities(take(2 * KIND_PROBABILITIES)),
             flag: probabilities(take(2 * FLAG_CONTEXTS)),
         });
-        Self { voxel, kind, start }
+        let mut sums = Sums::none();
+        let Sums { voxel: of_voxel, kind: of_kind, row } = &mut *sums;
+        for values in [&mut of_voxel[..], of_kind].into_iter().chain(row.iter_mut().map(|row| &mut row[..])) {
+            let bytes = take(values.len());
+            values.iter_mut().zip(bytes).for_each(|(to, value)| *to = value.cast_signed());
+        }
+        Self { voxel, kind, start, sums }
     }
 
     /// The inverse of [`Self::from_bytes`].
@@ -171,6 +199,10 @@ impl Tables {
         let Probabilities { voxel, kind, flag } = &*self.start;
         for probability in voxel.iter().chain(kind).chain(flag) {
             bytes.extend_from_slice(&probability.to_le_bytes());
+        }
+        let Sums { voxel, kind, row } = &*self.sums;
+        for values in [&voxel[..], kind].into_iter().chain(row.iter().map(|row| &row[..])) {
+            bytes.extend(values.iter().map(|value| value.cast_unsigned()));
         }
         bytes
     }

@@ -7,6 +7,7 @@
 
 use flockmap_grid::{Changes, Layer};
 
+use super::adding::{Adding, RATES};
 use super::block_box::BlockBox;
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
@@ -16,9 +17,10 @@ use super::model::Model;
 use super::order::{self, Changed, in_order};
 use super::orientation::Orientation;
 use super::tables::{
-    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES,
+    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES, Sums,
     TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
+use super::wide::Wide;
 use crate::deflate::{Deflater, inflate_exact};
 use crate::source::Batch;
 use flockmap_coder::Probability;
@@ -76,9 +78,17 @@ type Counts = [u64; 2];
 
 /// Trains one set of tables.
 pub struct Trainer {
-    counting: Counting,
+    learning: Learning,
     model: Model,
     coded: Vec<u8>,
+}
+
+/// What a round is for.
+enum Learning {
+    /// How often bits are set, in each context or at each level.
+    Counting(Box<Counting>),
+    /// What contexts add; the round.
+    Adding(Box<Adding>, usize),
 }
 
 impl Default for Trainer {
@@ -88,12 +98,12 @@ impl Default for Trainer {
 }
 
 /// Rounds that training takes.
-pub const ROUNDS: usize = 2;
+pub const ROUNDS: usize = 2 + RATES.len();
 
 impl Trainer {
     /// Before the first round.
     pub fn new() -> Self {
-        Self { counting: Counting::new(None), model: Model::default(), coded: Vec::new() }
+        Self { learning: Learning::Counting(Box::new(Counting::new(None))), model: Model::default(), coded: Vec::new() }
     }
 
     /// Learns from a batch; `layer` is what was known before it. Each round has to be given the same batches.
@@ -110,16 +120,20 @@ impl Trainer {
             });
             let (package, after) = rest.split_at(full.map_or(rest.len(), |last| last + 1));
             rest = after;
-            self.package(&known, sensor, package);
+            let Self { learning, model, coded } = self;
+            match learning {
+                Learning::Counting(counting) => Self::package(&mut **counting, model, coded, &known, sensor, package),
+                Learning::Adding(adding, _) => Self::package(&mut **adding, model, coded, &known, sensor, package),
+            }
         }
     }
 
-    fn package(&mut self, known: &Known<'_>, sensor: [i32; 3], blocks: &[Changed<'_>]) {
+    fn package<D: Decide>(decide: &mut D, model: &mut Model, coded: &mut Vec<u8>, known: &Known<'_>, sensor: [i32; 3], blocks: &[Changed<'_>]) {
         let Some((first, _)) = blocks.first() else { return };
         let all = blocks.iter().map(|(index, _)| BlockBox::of(*index));
         let region = all.fold(BlockBox::of(*first), BlockBox::union);
-        self.model.field.clear(region);
-        let mut flags = Flags::new(region, &mut self.coded);
+        model.field.clear(region);
+        let mut flags = Flags::new(region, coded);
         let mut left = blocks.iter().peekable();
         for index in order::blocks(region, order::sensor_block(sensor), 0).skip_while(|index| index != first)
         {
@@ -129,11 +143,11 @@ impl Trainer {
             let changes = left.next_if(|(next, _)| *next == index).map(|(_, states)| states);
             let view = Orientation::of(index, sensor);
             // A layer of whole batches, in order, has not been superseded.
-            let Ok(classes) = self.model.field.classes(known, index) else { return };
-            self.counting.flag(flags.context(index, view.0, classes), changes.is_some());
+            let Ok(classes) = model.field.classes(known, index) else { return };
+            decide.flag(flags.context(index, view.0, classes), changes.is_some());
             flags.note(index, changes.is_some());
             if changes.is_some()
-                && self.model.code(&mut self.counting, known, index, view, classes, changes).is_err()
+                && model.code(decide, known, index, view, classes, changes).is_err()
             {
                 return;
             }
@@ -142,17 +156,29 @@ impl Trainer {
 
     /// Ends a round. After the last of [`ROUNDS`], [`Self::tables`] are ready.
     pub fn end_round(&mut self) {
-        let Counting { tables, .. } = &self.counting;
-        let tables = match tables {
-            None => self.counting.with_levels(),
-            Some(tables) => self.counting.with_probabilities(tables.clone()),
+        self.learning = match &mut self.learning {
+            Learning::Counting(counting) => match &counting.tables {
+                None => Learning::Counting(Box::new(Counting::new(Some(counting.with_levels())))),
+                Some(tables) => {
+                    let mut adding = Adding::new(counting.with_probabilities(tables.clone()));
+                    adding.begin(RATES[0]);
+                    Learning::Adding(Box::new(adding), 0)
+                }
+            },
+            Learning::Adding(adding, round) => {
+                *round += 1;
+                adding.begin(RATES.get(*round).copied().unwrap_or(0));
+                return;
+            }
         };
-        self.counting = Counting::new(Some(tables));
     }
 
     /// The tables as bytes, as they stand after the rounds so far.
     pub fn tables(&self) -> Vec<u8> {
-        self.counting.tables.as_ref().map(Tables::to_bytes).unwrap_or_default()
+        match &self.learning {
+            Learning::Counting(counting) => counting.tables.as_ref().map(Tables::to_bytes).unwrap_or_default(),
+            Learning::Adding(adding, _) => adding.tables().to_bytes(),
+        }
     }
 }
 
@@ -194,7 +220,8 @@ impl Counting {
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
         let ray_group = |context: usize| context & 255;
-        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Box::default() };
+        let (voxel, kind) = (Levels::even(), Levels::even());
+        let mut tables = Tables { voxel, kind, start: Box::default(), sums: Sums::none() };
         for (to, near, ray, prior) in [
             (&mut tables.voxel, &self.near, &self.ray, EVEN_ODDS),
             (&mut tables.kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
@@ -262,13 +289,13 @@ impl Decide for Counting {
         truth
     }
 
-    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+    fn row(&mut self, row: &UnknownRow, _: impl Fn() -> Wide, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }
 
 impl DecideVoxel for Counting {
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], _: usize, truth: bool) -> bool {
         let [near, ray] = contexts.map(usize::from);
         let level = self.tables.as_ref().map_or(0, |tables| tables.voxel.of(contexts));
         self.near[near][usize::from(truth)] += 1;
@@ -277,7 +304,7 @@ impl DecideVoxel for Counting {
         truth
     }
 
-    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
+    fn kind(&mut self, contexts: [u16; 2], _: usize, truth: bool) -> bool {
         let [near, ray] = contexts.map(usize::from);
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;

@@ -1,0 +1,130 @@
+//! Trains the sums: what contexts add to the log-odds of a decision. Stochastic gradient descent in integers:
+//! after each decision every value that had a say moves a little towards what happened.
+
+use super::cells::Bits;
+use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::mixing::{self, ODDS_OF_SUM, TRUST};
+use super::odds::{odds_of, probability_of};
+use super::row_contexts::{ROW_FLAGS, ROW_PLACES, ROW_SUMS, RowFlag};
+use super::tables::{Sums, Tables, voxel_probability};
+use super::wide::{VOXEL_SUMS, Wide};
+use flockmap_coder::Probability;
+
+/// Fine steps in one step of a shipped value.
+const FINE: i32 = 1 << 16;
+
+/// How far values move by round, in sixteenths of a fine step for each 65,536th of error: far at first, so that
+/// rare contexts get somewhere, and less and less.
+pub(crate) const RATES: [i32; 4] = [46, 22, 10, 5];
+
+/// Sums while they are learned, in fine steps.
+pub(crate) struct Adding {
+    tables: Tables,
+    sums: Fine,
+    rate: i32,
+}
+
+/// The same as [`Sums`], too large for a stack.
+struct Fine {
+    voxel: Vec<i32>,
+    kind: Vec<i32>,
+    row: [Vec<i32>; ROW_FLAGS],
+}
+
+impl Adding {
+    pub(crate) fn new(tables: Tables) -> Self {
+        let none = |count| vec![0; count];
+        let row = core::array::from_fn(|_| none(ROW_SUMS));
+        let sums = Fine { voxel: none(VOXEL_SUMS), kind: none(VOXEL_SUMS), row };
+        Self { tables, sums, rate: 0 }
+    }
+
+    /// Begins a round.
+    pub(crate) fn begin(&mut self, rate: i32) {
+        self.rate = rate;
+    }
+
+    /// The tables with the sums as they are.
+    pub(crate) fn tables(&self) -> Tables {
+        let mut tables = self.tables.clone();
+        let Sums { voxel, kind, row } = &mut *tables.sums;
+        let shipped = |to: &mut [i8], from: &[i32]| {
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = ((from + FINE / 2) >> 16).clamp(-127, 127) as i8;
+            }
+        };
+        shipped(voxel, &self.sums.voxel);
+        shipped(kind, &self.sums.kind);
+        row.iter_mut().zip(&self.sums.row).for_each(|(to, from)| shipped(to, from));
+        tables
+    }
+}
+
+/// Moves the values at these places towards a bit that happened.
+fn learn<const N: usize>(
+    values: &mut [i32],
+    places: [usize; N],
+    probability: Probability,
+    truth: bool,
+    rate: i32,
+) {
+    let own = (odds_of(probability) * TRUST) >> 16;
+    let sum: i32 = places.iter().map(|place| values[*place]).sum();
+    let expected = i32::from(probability_of(own + ((sum * ODDS_OF_SUM) >> 16)));
+    let error = if truth { 65_536 - expected } else { -expected };
+    let step = (error * rate) >> 4;
+    const MOST: i32 = 127 * FINE;
+    for place in places {
+        values[place] = (values[place] + step).clamp(-MOST, MOST);
+    }
+}
+
+impl Decide for Adding {
+    fn flag(&mut self, _: usize, truth: bool) -> bool {
+        truth
+    }
+
+    fn row_flag(
+        &mut self,
+        flag: RowFlag,
+        context: usize,
+        places: impl FnOnce() -> [usize; ROW_PLACES],
+        truth: bool,
+    ) -> bool {
+        let probability = self.tables.start.flag[context];
+        if !mixing::is_sure(probability) {
+            learn(&mut self.sums.row[flag as usize], places(), probability, truth, self.rate);
+        }
+        truth
+    }
+
+    fn row(&mut self, row: &UnknownRow, wide: impl Fn() -> Wide, truth: Bits) -> Bits {
+        let wide = wide();
+        voxels(&mut RowAdding { adding: self, wide }, row, truth)
+    }
+}
+
+struct RowAdding<'a> {
+    adding: &'a mut Adding,
+    wide: Wide,
+}
+
+impl DecideVoxel for RowAdding<'_> {
+    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], x: usize, truth: bool) -> bool {
+        let Adding { tables, sums, rate } = &mut *self.adding;
+        let probability = tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))];
+        if !mixing::is_sure(probability) {
+            learn(&mut sums.voxel, self.wide.places(contexts, x), probability, truth, *rate);
+        }
+        truth
+    }
+
+    fn kind(&mut self, contexts: [u16; 2], x: usize, truth: bool) -> bool {
+        let Adding { tables, sums, rate } = &mut *self.adding;
+        let probability = tables.start.kind[usize::from(tables.kind.of(contexts))];
+        if !mixing::is_sure(probability) {
+            learn(&mut sums.kind, self.wide.places(contexts, x), probability, truth, *rate);
+        }
+        truth
+    }
+}
