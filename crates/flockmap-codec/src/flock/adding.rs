@@ -127,4 +127,8 @@ impl DecideVoxel for RowAdding<'_> {
         }
         truth
     }
+
+    fn found(&mut self, x: usize, is_occupied: bool) {
+        self.wide.note(x, is_occupied);
+    }
 }

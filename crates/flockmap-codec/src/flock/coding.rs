@@ -79,7 +79,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
         let (tables, weights) = (self.tables, [self.weights.voxel, self.weights.kind]);
         let (coded, [of_voxel, of_kind]) = self.bits.in_registers(|bits| {
             let lessons = [Lesson::default(); 2];
-            let mut coding = RowCoding { voxel, kind, tables, bits, make: wide, wide: None, weights, lessons };
+            let mut coding = RowCoding { voxel, kind, tables, bits, make: wide, wide: None, found: Bits { free: 0, occupied: 0 }, weights, lessons };
             let coded = voxels(&mut coding, row, truth);
             (coded, coding.lessons)
         });
@@ -99,6 +99,8 @@ struct RowCoding<'a, B, F> {
     make: F,
     /// Made when a decision needs it first.
     wide: Option<Wide>,
+    /// Voxels of the row that were found.
+    found: Bits,
     /// Of a voxel that may have been seen, and of one that was.
     weights: [Weights; 2],
     lessons: [Lesson; 2],
@@ -107,7 +109,16 @@ struct RowCoding<'a, B, F> {
 impl<B, F: Fn() -> Wide> RowCoding<'_, B, F> {
     #[inline(always)]
     fn sum(&mut self, values: &[i8; VOXEL_SUMS], contexts: [u16; 2], x: usize) -> i32 {
-        let wide = self.wide.get_or_insert_with(&self.make);
+        let (make, found) = (&self.make, self.found);
+        let wide = self.wide.get_or_insert_with(|| {
+            let mut wide = make();
+            for x in 0..8 {
+                if (found.free | found.occupied) >> x & 1 != 0 {
+                    wide.note(x, found.occupied >> x & 1 != 0);
+                }
+            }
+            wide
+        });
         wide.places(contexts, x).into_iter().map(|place| i32::from(values[place])).sum()
     }
 }
@@ -133,5 +144,18 @@ impl<B: CodeBit, F: Fn() -> Wide> DecideVoxel for RowCoding<'_, B, F> {
         let sum = self.sum(&self.tables.sums.kind, contexts, x);
         let (weights, lesson) = (&self.weights[1], &mut self.lessons[1]);
         mixing::code(self.bits, &mut self.kind[at], sum, weights, lesson, truth, KIND_RATE)
+    }
+
+    #[inline(always)]
+    fn found(&mut self, x: usize, is_occupied: bool) {
+        let bit = 1 << (x & 7);
+        if is_occupied {
+            self.found.occupied |= bit;
+        } else {
+            self.found.free |= bit;
+        }
+        if let Some(wide) = &mut self.wide {
+            wide.note(x, is_occupied);
+        }
     }
 }

@@ -55,6 +55,9 @@ pub(crate) trait DecideVoxel {
     fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], x: usize, truth: bool) -> bool;
     /// Whether a newly seen voxel is Occupied.
     fn kind(&mut self, contexts: [u16; 2], x: usize, truth: bool) -> bool;
+    /// What became of a voxel that was seen.
+    #[inline(always)]
+    fn found(&mut self, _x: usize, _is_occupied: bool) {}
 }
 
 /// Goes through the voxels of a row.
@@ -77,6 +80,7 @@ pub(crate) fn voxels<D: DecideVoxel>(decide: &mut D, row: &UnknownRow, truth: Bi
                 kind = RowKind::Found;
             }
             let is_occupied = decide.kind(contexts, x, truth.occupied >> x & 1 != 0);
+            decide.found(x, is_occupied);
             if is_occupied {
                 coded.occupied |= 1 << x;
             } else {

@@ -3,7 +3,7 @@
 
 use super::cells::{Row, STATES, new, occupied};
 use super::neighbourhood::Neighbourhood;
-use super::planes::swapped_in_word;
+use super::planes::swapped_in_words;
 use super::tables::{NEAR_CONTEXTS, RAY_CONTEXTS};
 
 /// Contexts of a voxel, with the nearest cells and the ray.
@@ -28,6 +28,7 @@ pub(crate) struct Wide {
     counts: usize,
     /// The slopes of the rays along x and along y, in eight steps each.
     slopes: usize,
+    is_by_rows: bool,
 }
 
 impl Wide {
@@ -35,9 +36,29 @@ impl Wide {
     #[inline]
     pub(crate) fn of(cells: &Neighbourhood, at: usize, is_by_rows: bool, slopes: [usize; 2]) -> Self {
         let words = if is_by_rows { words::<true>(cells, at) } else { words::<false>(cells, at) };
-        let words = words.map(|word| swapped_in_word(word).to_le_bytes());
+        let words = swapped_in_words(words).map(u64::to_le_bytes);
         let [slope_x, slope_y] = slopes.map(|slope| (slope >> 1).min(7));
-        Self { words, counts: counts(cells, at), slopes: slope_x | slope_y << 3 }
+        Self { words, counts: counts(cells, at), slopes: slope_x | slope_y << 3, is_by_rows }
+    }
+
+    /// Takes in that a voxel of the row was found: the next two know it.
+    #[inline(always)]
+    pub(crate) fn note(&mut self, x: usize, is_occupied: bool) {
+        let mut set = |word: usize, x: usize, bits: u8| {
+            if let Some(byte) = self.words[word].get_mut(x) {
+                *byte |= bits;
+            }
+        };
+        // The two bits of a state stand two apart.
+        let occupied = u8::from(is_occupied);
+        if self.is_by_rows {
+            set(4, x + 2, 0b10 | occupied << 3);
+            set(5, x + 1, occupied << 3);
+        } else {
+            set(0, x + 1, 0b100);
+            set(4, x + 2, 0b01 | occupied << 2);
+            set(5, x + 1, occupied << 2);
+        }
     }
 
     /// Where the values of a voxel are in the sums.
