@@ -57,7 +57,8 @@ heavy() {
     local check
     cargo build --release --locked -p flockmap-cli
     # All of them test this program, and none builds it again.
-    export FLOCKMAP=${CARGO_TARGET_DIR:-$PWD/target}/release/flockmap
+    FLOCKMAP=$(realpath "${CARGO_TARGET_DIR:-target}/release/flockmap")
+    export FLOCKMAP
     for check in crates/flockmap-view/page/check.sh bindings/*/check.sh ros/check.sh foxglove/check.sh zenoh/check.sh; do
         "$check"
     done

@@ -56,14 +56,14 @@ impl Mapper {
         }
         self.place = Some(T_map_sensor.translation());
         report.sensor = self.place;
-        let rays = RayMaker::new(&self.config, T_map_sensor, teammates);
+        let maker = RayMaker::new(&self.config, T_map_sensor, teammates);
         let number = self.next_scan_number(stamp);
         // Out of the way, so that the map can be changed by what they say.
         let mut casting = core::mem::take(&mut self.casting);
         match &mut casting {
-            Casting::Once(counts) => self.take_in(counts, scan, &rays, number, &mut report),
-            Casting::Bytes(counts) => self.take_in(counts, scan, &rays, number, &mut report),
-            Casting::Words(counts) => self.take_in(counts, scan, &rays, number, &mut report),
+            Casting::Once(rays) => self.take_in(rays, scan, &maker, number, &mut report),
+            Casting::Bytes(rays) => self.take_in(rays, scan, &maker, number, &mut report),
+            Casting::Words(rays) => self.take_in(rays, scan, &maker, number, &mut report),
         }
         self.casting = casting;
         self.note_tables();
@@ -109,14 +109,14 @@ impl Mapper {
         let blocks = self.blocks.at(places.iter().map(|(listed, ..)| *listed));
         let work = places.iter().zip(blocks).map(|(&(_, index, place), block)| Work { index, place, block });
         let mut work: Vec<Work<'_>> = work.collect();
-        let parts = work.len().div_ceil(rays.used()).max(1);
+        let part_len = work.len().div_ceil(rays.used()).max(1);
         let parts =
-            work.chunks_mut(parts).map(|work| Part { work, touched: Vec::new(), changed: Vec::new() });
+            work.chunks_mut(part_len).map(|work| Part { work, touched: Vec::new(), changed: Vec::new() });
         let mut parts: Vec<Part<'_, '_>> = parts.collect();
         let rays = &*rays;
         rays.workers().each(&mut parts, |part| part.update(rays, &rules, number));
-        let parts: Vec<_> = parts.into_iter().map(|part| (part.touched, part.changed)).collect();
-        for (touched, changed) in parts {
+        let updates: Vec<_> = parts.into_iter().map(|part| (part.touched, part.changed)).collect();
+        for (touched, changed) in updates {
             report.touched.extend(touched);
             for (index, states, changes) in changed {
                 report.changed.push((index, states));
