@@ -27,7 +27,7 @@ const REFILL_BELOW: u64 = 1 << 32;
 
 /// Moves a probability towards what has happened, by one in 2ʳᵃᵗᵉ. It stays in 1 … 65,535.
 #[inline(always)]
-pub fn learn(probability: &mut Probability, bit: bool, rate: u32) {
+fn learn(probability: &mut Probability, bit: bool, rate: u32) {
     if bit {
         *probability += (65_535 - *probability) >> rate;
     } else {
@@ -42,10 +42,13 @@ pub trait CodeBit {
     const KNOWS: bool;
 
     /// Passes a bit, which is set with this probability; the probability learns by one in 2ʳᵃᵗᵉ.
-    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool;
+    #[inline(always)]
+    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool {
+        self.code_as(*probability, probability, truth, rate)
+    }
 
-    /// Passes a bit, which is set with this probability.
-    fn pass(&mut self, probability: Probability, truth: bool) -> bool;
+    /// The same, where the bit is set with another probability than the one that learns.
+    fn code_as(&mut self, likely: Probability, learns: &mut Probability, truth: bool, rate: u32) -> bool;
 
     /// The same direction.
     type Own<'b>: CodeBit
@@ -159,22 +162,16 @@ impl CodeBit for BitWriter<'_> {
     const KNOWS: bool = true;
 
     #[inline(always)]
-    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*probability);
+    fn code_as(&mut self, likely: Probability, learns: &mut Probability, truth: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(likely);
         // Two branches, as in reading.
         if truth {
-            learn(probability, true, rate);
+            learn(learns, true, rate);
             self.take(share, true);
         } else {
-            learn(probability, false, rate);
+            learn(learns, false, rate);
             self.take(share, false);
         }
-        truth
-    }
-
-    #[inline(always)]
-    fn pass(&mut self, probability: Probability, truth: bool) -> bool {
-        self.put(probability, truth);
         truth
     }
 
@@ -273,25 +270,20 @@ impl<'a> CodeBit for BitReader<'a> {
     /// Two branches for the two bits, which leaves it to the processor to guess the bit and go on; choosing
     /// values by the bit would have to wait for it.
     #[inline(always)]
-    fn code(&mut self, probability: &mut Probability, _: bool, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*probability);
+    fn code_as(&mut self, likely: Probability, learns: &mut Probability, _: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(likely);
         if self.code < share {
             self.range = share;
-            learn(probability, true, rate);
+            learn(learns, true, rate);
             self.refill();
             true
         } else {
             self.code -= share;
             self.range -= share;
-            learn(probability, false, rate);
+            learn(learns, false, rate);
             self.refill();
             false
         }
-    }
-
-    #[inline(always)]
-    fn pass(&mut self, probability: Probability, _: bool) -> bool {
-        self.get(probability)
     }
 
     type Own<'b>

@@ -7,7 +7,8 @@ use super::mixing::{self, ODDS_OF_SUM, TRUST};
 use super::odds::{odds_of, probability_of};
 use super::row_contexts::{ROW_FLAGS, ROW_PLACES, ROW_SUMS, RowFlag};
 use super::tables::{Sums, Tables, voxel_probability};
-use super::wide::{VOXEL_SUMS, Wide};
+use super::voxel_contexts::{VOXEL_SUMS, VoxelContexts};
+use fearless_simd::Simd;
 use flockmap_coder::Probability;
 
 /// Fine steps in one step of a shipped value.
@@ -68,7 +69,7 @@ fn learn<const N: usize>(
     truth: bool,
     rate: i32,
 ) {
-    let own = (odds_of(probability) * TRUST) >> 16;
+    let own = (odds_of(probability) * TRUST) >> 14;
     let sum: i32 = places.iter().map(|place| values[*place]).sum();
     let expected = i32::from(probability_of(own + ((sum * ODDS_OF_SUM) >> 16)));
     let error = if truth { 65_536 - expected } else { -expected };
@@ -98,37 +99,27 @@ impl Decide for Adding {
         truth
     }
 
-    fn row(&mut self, row: &UnknownRow, wide: impl Fn() -> Wide, truth: Bits) -> Bits {
-        let wide = wide();
-        voxels(&mut RowAdding { adding: self, wide }, row, truth)
+    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits {
+        voxels(self, row, truth)
     }
 }
 
-struct RowAdding<'a> {
-    adding: &'a mut Adding,
-    wide: Wide,
-}
-
-impl DecideVoxel for RowAdding<'_> {
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], x: usize, truth: bool) -> bool {
-        let Adding { tables, sums, rate } = &mut *self.adding;
+impl DecideVoxel for Adding {
+    fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        let Self { tables, sums, rate } = self;
         let probability = tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))];
         if !mixing::is_sure(probability) {
-            learn(&mut sums.voxel, self.wide.places(contexts, x), probability, truth, *rate);
+            learn(&mut sums.voxel, contexts.places(), probability, truth, *rate);
         }
         truth
     }
 
-    fn kind(&mut self, contexts: [u16; 2], x: usize, truth: bool) -> bool {
-        let Adding { tables, sums, rate } = &mut *self.adding;
+    fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        let Self { tables, sums, rate } = self;
         let probability = tables.start.kind[usize::from(tables.kind.of(contexts))];
         if !mixing::is_sure(probability) {
-            learn(&mut sums.kind, self.wide.places(contexts, x), probability, truth, *rate);
+            learn(&mut sums.kind, contexts.places(), probability, truth, *rate);
         }
         truth
-    }
-
-    fn found(&mut self, x: usize, is_occupied: bool) {
-        self.wide.note(x, is_occupied);
     }
 }

@@ -11,7 +11,8 @@ use super::log2::log2;
 use super::model::Model;
 use super::order::Changed;
 use super::orientation::Orientation;
-use super::wide::Wide;
+use super::voxel_contexts::VoxelContexts;
+use fearless_simd::Simd;
 use super::tables::{TableSet, Tables, voxel_probability};
 use flockmap_coder::Probability;
 
@@ -94,18 +95,18 @@ impl Decide for Trial {
         truth
     }
 
-    fn row(&mut self, row: &UnknownRow, _: impl Fn() -> Wide, truth: Bits) -> Bits {
+    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }
 
 impl DecideVoxel for Trial {
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], _: usize, truth: bool) -> bool {
+    fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         self.pay(truth, |tables| tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))]);
         truth
     }
 
-    fn kind(&mut self, contexts: [u16; 2], _: usize, truth: bool) -> bool {
+    fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         self.pay(truth, |tables| tables.start.kind[usize::from(tables.kind.of(contexts))]);
         truth
     }

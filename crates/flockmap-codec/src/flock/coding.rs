@@ -7,7 +7,8 @@ use super::row_contexts::{ROW_FLAGS, ROW_PLACES, RowFlag};
 use super::tables::{
     KIND_PROBABILITIES, Probabilities, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
-use super::wide::{VOXEL_SUMS, Wide};
+use super::voxel_contexts::{VOXEL_SUMS, VoxelContexts};
+use fearless_simd::Simd;
 use crate::work;
 use flockmap_coder::{CodeBit, Probability};
 
@@ -45,13 +46,13 @@ impl<'a, B> Coding<'a, B> {
 impl<B: CodeBit> Decide for Coding<'_, B> {
     const KNOWS: bool = B::KNOWS;
 
-    #[inline]
+    #[inline(always)]
     fn flag(&mut self, context: usize, truth: bool) -> bool {
         self.steps += work::DECISION_STEPS;
         self.bits.code(&mut self.probabilities.flag[context], truth, FLAG_RATE)
     }
 
-    #[inline]
+    #[inline(always)]
     fn row_flag(
         &mut self,
         flag: RowFlag,
@@ -73,13 +74,13 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
         bit
     }
 
-    #[inline]
-    fn row(&mut self, row: &UnknownRow, wide: impl Fn() -> Wide, truth: Bits) -> Bits {
+    #[inline(always)]
+    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits {
         let Probabilities { voxel, kind, .. } = &mut *self.probabilities;
         let (tables, weights) = (self.tables, [self.weights.voxel, self.weights.kind]);
         let (coded, [of_voxel, of_kind]) = self.bits.in_registers(|bits| {
             let lessons = [Lesson::default(); 2];
-            let mut coding = RowCoding { voxel, kind, tables, bits, make: wide, wide: None, found: Bits { free: 0, occupied: 0 }, weights, lessons };
+            let mut coding = RowCoding { voxel, kind, tables, bits, weights, lessons };
             let coded = voxels(&mut coding, row, truth);
             (coded, coding.lessons)
         });
@@ -91,71 +92,42 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     }
 }
 
-struct RowCoding<'a, B, F> {
+struct RowCoding<'a, B> {
     voxel: &'a mut [Probability; VOXEL_PROBABILITIES],
     kind: &'a mut [Probability; KIND_PROBABILITIES],
     tables: &'static Tables,
     bits: &'a mut B,
-    make: F,
-    /// Made when a decision needs it first.
-    wide: Option<Wide>,
-    /// Voxels of the row that were found.
-    found: Bits,
     /// Of a voxel that may have been seen, and of one that was.
     weights: [Weights; 2],
     lessons: [Lesson; 2],
 }
 
-impl<B, F: Fn() -> Wide> RowCoding<'_, B, F> {
-    #[inline(always)]
-    fn sum(&mut self, values: &[i8; VOXEL_SUMS], contexts: [u16; 2], x: usize) -> i32 {
-        let (make, found) = (&self.make, self.found);
-        let wide = self.wide.get_or_insert_with(|| {
-            let mut wide = make();
-            for x in 0..8 {
-                if (found.free | found.occupied) >> x & 1 != 0 {
-                    wide.note(x, found.occupied >> x & 1 != 0);
-                }
-            }
-            wide
-        });
-        wide.places(contexts, x).into_iter().map(|place| i32::from(values[place])).sum()
-    }
+/// What the contexts of a voxel add up to.
+#[inline(always)]
+fn sum<S: Simd>(values: &[i8; VOXEL_SUMS], contexts: &VoxelContexts<'_, S>) -> i32 {
+    contexts.places().into_iter().map(|place| i32::from(values[place])).sum()
 }
 
-impl<B: CodeBit, F: Fn() -> Wide> DecideVoxel for RowCoding<'_, B, F> {
+impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
     #[inline(always)]
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], x: usize, truth: bool) -> bool {
+    fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         let at = voxel_probability(kind, self.tables.voxel.of(contexts));
         if mixing::is_sure(self.voxel[at]) {
             return self.bits.code(&mut self.voxel[at], truth, VOXEL_RATE);
         }
-        let sum = self.sum(&self.tables.sums.voxel, contexts, x);
+        let sum = sum(&self.tables.sums.voxel, contexts);
         let (weights, lesson) = (&self.weights[0], &mut self.lessons[0]);
         mixing::code(self.bits, &mut self.voxel[at], sum, weights, lesson, truth, VOXEL_RATE)
     }
 
     #[inline(always)]
-    fn kind(&mut self, contexts: [u16; 2], x: usize, truth: bool) -> bool {
+    fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         let at = usize::from(self.tables.kind.of(contexts));
         if mixing::is_sure(self.kind[at]) {
             return self.bits.code(&mut self.kind[at], truth, KIND_RATE);
         }
-        let sum = self.sum(&self.tables.sums.kind, contexts, x);
+        let sum = sum(&self.tables.sums.kind, contexts);
         let (weights, lesson) = (&self.weights[1], &mut self.lessons[1]);
         mixing::code(self.bits, &mut self.kind[at], sum, weights, lesson, truth, KIND_RATE)
-    }
-
-    #[inline(always)]
-    fn found(&mut self, x: usize, is_occupied: bool) {
-        let bit = 1 << (x & 7);
-        if is_occupied {
-            self.found.occupied |= bit;
-        } else {
-            self.found.free |= bit;
-        }
-        if let Some(wide) = &mut self.wide {
-            wide.note(x, is_occupied);
-        }
     }
 }

@@ -1,8 +1,8 @@
 //! Two opinions on one decision become one probability: that of an adaptive probability, and a sum of trained
 //! tables. Weights say how far each is to be trusted; they learn within the package.
 
-use super::odds::{ODDS_MAX, Odds, odds_of, probability_of};
-use flockmap_coder::{CodeBit, Probability, learn};
+use super::odds::{Odds, odds_of, probability_of};
+use flockmap_coder::{CodeBit, Probability};
 
 /// An adaptive probability that is lower, or as near to one, is left alone: it is right nearly always, and
 /// most are such.
@@ -17,7 +17,8 @@ pub(crate) fn is_sure(probability: Probability) -> bool {
 /// Sums of trained tables are in sixteenths of a bit.
 pub(crate) const ODDS_OF_SUM: Odds = 16;
 
-/// Weights of both and a bias, in 2⁻¹⁶.
+/// Weights of both and a bias, in 2⁻¹⁴. What is learned of them wraps round where only a package made for it could
+/// bring it: reader and writer agree all the same.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Weights {
     adaptive: i32,
@@ -26,20 +27,16 @@ pub(crate) struct Weights {
 }
 
 /// 0.7 and 1: the tables are trained to add to 0.7 of what the probabilities say at the start.
-pub(crate) const START: Weights = Weights { adaptive: TRUST, sum: 1 << 16, bias: 0 };
-pub(crate) const TRUST: i32 = 45_875;
+pub(crate) const START: Weights = Weights { adaptive: TRUST, sum: 1 << 14, bias: 0 };
+pub(crate) const TRUST: i32 = 11_469;
 
 impl Weights {
-    const ONE_MAX: i32 = 4 << 16;
-    const BIAS_MAX: i32 = ODDS_MAX << 16;
-
-    /// Takes in what was learned. Weights stay so small that no sum overflows.
+    /// Takes in what was learned.
     #[inline(always)]
     pub(crate) fn learn(&mut self, lesson: Lesson) {
-        let limited = |weight: i32, by: i32, most: i32| weight.saturating_add(by).clamp(-most, most);
-        self.adaptive = limited(self.adaptive, lesson.adaptive, Self::ONE_MAX);
-        self.sum = limited(self.sum, lesson.sum, Self::ONE_MAX);
-        self.bias = limited(self.bias, lesson.bias, Self::BIAS_MAX);
+        self.adaptive = self.adaptive.wrapping_add(lesson.adaptive);
+        self.sum = self.sum.wrapping_add(lesson.sum);
+        self.bias = self.bias.wrapping_add(lesson.bias);
     }
 }
 
@@ -63,15 +60,14 @@ pub(crate) fn code<B: CodeBit>(
     truth: bool,
     rate: u32,
 ) -> bool {
-    let (own, other) = (odds_of(*probability), (sum * ODDS_OF_SUM).clamp(-ODDS_MAX, ODDS_MAX));
-    let odds = (weights.adaptive * own + weights.sum * other + weights.bias) >> 16;
-    let mixed = probability_of(odds);
-    let bit = bits.pass(mixed, truth);
-    learn(probability, bit, rate);
-    let error = if bit { 65_536 - i32::from(mixed) } else { -i32::from(mixed) };
-    lesson.adaptive += (error * own) >> 14;
-    lesson.sum += (error * other) >> 14;
-    lesson.bias += error >> 1;
+    let (own, other) = (odds_of(*probability), sum * ODDS_OF_SUM);
+    let odds = weights.adaptive.wrapping_mul(own).wrapping_add(weights.sum.wrapping_mul(other));
+    let mixed = probability_of(odds.wrapping_add(weights.bias) >> 14);
+    let bit = bits.code_as(mixed, probability, truth, rate);
+    let error = (i32::from(bit) << 16) - i32::from(mixed);
+    lesson.adaptive = lesson.adaptive.wrapping_add((error * own) >> 16);
+    lesson.sum = lesson.sum.wrapping_add((error * other) >> 16);
+    lesson.bias = lesson.bias.wrapping_add(error >> 3);
     bit
 }
 

@@ -35,7 +35,7 @@ mod row_contexts;
 mod section;
 mod snapshot;
 mod tables;
-mod wide;
+mod voxel_contexts;
 #[cfg(feature = "training")]
 pub mod training;
 

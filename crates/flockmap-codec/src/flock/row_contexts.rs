@@ -23,7 +23,7 @@ pub(crate) const ROW_SUMS: usize = PLACE + 4_096;
 
 /// Where the values of a flag are in the sums: of the row at a place, of which these voxels may change, and
 /// with a class below 64.
-#[inline]
+#[inline(always)]
 pub(crate) fn places(cells: &Neighbourhood, at: usize, voxels: u8, class: usize) -> [usize; ROW_PLACES] {
     // So many rows and slices on.
     let row = |y: isize, z: isize| cells.row(at.wrapping_add_signed(16 * z + y));

@@ -8,8 +8,9 @@ use std::sync::OnceLock;
 
 use super::decide::RowKind;
 use super::row_contexts::{ROW_FLAGS, ROW_SUMS};
-use super::wide::VOXEL_SUMS;
+use super::voxel_contexts::{VOXEL_SUMS, VoxelContexts};
 use crate::deflate::inflate_exact;
+use fearless_simd::Simd;
 use flockmap_coder::Probability;
 
 /// Levels of likelihood: steps of ¼ in ln(p / (1 − p)), level 32 is even.
@@ -64,8 +65,8 @@ impl Levels {
 
     /// The levels of both contexts as one number, below `LEVELS`².
     #[inline(always)]
-    pub(crate) fn of(&self, [near, ray]: [u16; 2]) -> u16 {
-        let (near, ray) = (self.near[usize::from(near)], self.ray[usize::from(ray) % RAY_CONTEXTS]);
+    pub(crate) fn of<S: Simd>(&self, contexts: &VoxelContexts<'_, S>) -> u16 {
+        let (near, ray) = (self.near[contexts.near()], self.ray[contexts.ray()]);
         u16::from(near) * LEVELS as u16 + u16::from(ray)
     }
 }

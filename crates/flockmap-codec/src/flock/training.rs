@@ -20,7 +20,8 @@ use super::tables::{
     self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES, Sums,
     TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
-use super::wide::Wide;
+use super::voxel_contexts::VoxelContexts;
+use fearless_simd::Simd;
 use crate::deflate::{Deflater, inflate_exact};
 use crate::source::Batch;
 use flockmap_coder::Probability;
@@ -289,14 +290,14 @@ impl Decide for Counting {
         truth
     }
 
-    fn row(&mut self, row: &UnknownRow, _: impl Fn() -> Wide, truth: Bits) -> Bits {
+    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }
 
 impl DecideVoxel for Counting {
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], _: usize, truth: bool) -> bool {
-        let [near, ray] = contexts.map(usize::from);
+    fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        let (near, ray) = (contexts.near(), contexts.ray());
         let level = self.tables.as_ref().map_or(0, |tables| tables.voxel.of(contexts));
         self.near[near][usize::from(truth)] += 1;
         self.ray[ray][usize::from(truth)] += 1;
@@ -304,8 +305,8 @@ impl DecideVoxel for Counting {
         truth
     }
 
-    fn kind(&mut self, contexts: [u16; 2], _: usize, truth: bool) -> bool {
-        let [near, ray] = contexts.map(usize::from);
+    fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        let (near, ray) = (contexts.near(), contexts.ray());
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;
         if let Some(tables) = &self.tables {
