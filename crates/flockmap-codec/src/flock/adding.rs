@@ -99,7 +99,7 @@ impl Decide for Adding {
         truth
     }
 
-    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits {
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }

@@ -194,7 +194,7 @@ impl<S: Simd, D: Decide> Block<'_, S, D> {
             RowClass::Hot => RowKind::Ordinary,
         };
         let contexts = RowContexts::of(self.simd, self.cells, at, &self.rays);
-        let coded = self.decide.row(&UnknownRow { voxels, kind, contexts }, truth);
+        let coded = self.decide.row(UnknownRow { voxels, kind, contexts }, truth);
         self.note(at, coded);
     }
 

@@ -95,7 +95,7 @@ impl Decide for Trial {
         truth
     }
 
-    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits {
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }

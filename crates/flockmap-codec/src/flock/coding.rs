@@ -75,7 +75,8 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     }
 
     #[inline(always)]
-    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits {
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
+        let count = row.voxels.count_ones();
         let Probabilities { voxel, kind, .. } = &mut *self.probabilities;
         let (tables, weights) = (self.tables, [self.weights.voxel, self.weights.kind]);
         let (coded, [of_voxel, of_kind]) = self.bits.in_registers(|bits| {
@@ -86,7 +87,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
         });
         self.weights.voxel.learn(of_voxel);
         self.weights.kind.learn(of_kind);
-        let made = row.voxels.count_ones() + (coded.free | coded.occupied).count_ones();
+        let made = count + (coded.free | coded.occupied).count_ones();
         self.steps += work::ROW_STEPS + u64::from(made);
         coded
     }

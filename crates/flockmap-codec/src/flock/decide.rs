@@ -24,7 +24,7 @@ pub(crate) trait Decide {
         self.flag(context, truth)
     }
     /// The unknown voxels of a row.
-    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits;
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits;
 }
 
 /// The unknown voxels of a row and what is around them.
@@ -54,22 +54,23 @@ pub(crate) trait DecideVoxel {
 
 /// Goes through the voxels of a row.
 #[inline(always)]
-pub(crate) fn voxels<S: Simd, D: DecideVoxel>(decide: &mut D, row: &UnknownRow<S>, truth: Bits) -> Bits {
-    let mut kind = row.kind;
-    let mut left = u32::from(row.voxels);
+pub(crate) fn voxels<S: Simd, D: DecideVoxel>(decide: &mut D, row: UnknownRow<S>, truth: Bits) -> Bits {
+    let UnknownRow { voxels, mut kind, mut contexts } = row;
+    let mut left = u32::from(voxels);
     let is_seen = u32::from(truth.free | truth.occupied);
     let (mut seen, mut occupied) = (0, 0);
     while left != 0 {
         let x = left.trailing_zeros() & 7;
         left &= left - 1;
-        let contexts = row.contexts.of_voxel(x, seen, occupied);
-        if decide.voxel(kind, &contexts, is_seen >> x & 1 != 0) {
+        let voxel = contexts.of_voxel(x);
+        if decide.voxel(kind, &voxel, is_seen >> x & 1 != 0) {
             if kind == RowKind::Surprise {
                 kind = RowKind::Found;
             }
             seen |= 1 << x;
-            let is_occupied = decide.kind(&contexts, truth.occupied >> x & 1 != 0);
+            let is_occupied = decide.kind(&voxel, truth.occupied >> x & 1 != 0);
             occupied |= u32::from(is_occupied) << x;
+            contexts.note(x, is_occupied);
         }
     }
     Bits { free: (seen & !occupied) as u8, occupied: occupied as u8 }

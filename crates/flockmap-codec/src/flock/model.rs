@@ -41,8 +41,8 @@ impl Model {
             None => [false; 2],
         };
         let Self { field, cells } = self;
+        cells.gather(orientation, &slots, field.cells());
         let coded = dispatch!(Level::new(), simd => {
-            cells.gather(orientation, &slots, field.cells());
             block::code(simd, decide, cells, distance, classes, &truth, flips)
         });
         let coded = if D::KNOWS { truth } else { coded };

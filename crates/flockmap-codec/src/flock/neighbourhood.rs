@@ -4,6 +4,8 @@
 //! comes first, and in each slice the farthest row and voxel. So the voxel behind another always has the
 //! lower number, and one piece of code serves all directions.
 
+use fearless_simd::{Level, dispatch};
+
 use super::cells::{Bits, BlockCells, LANES, Row, changed};
 use super::orientation::Orientation;
 use super::planes::exchange;
@@ -66,6 +68,11 @@ impl Neighbourhood {
     /// Takes in a block and its 26 neighbours, which `slots` gives by x + 3·y + 9·z, each −1 … 1 plus one;
     /// they are mirrored as the orientation says.
     pub(crate) fn gather(&mut self, orientation: Orientation, slots: &[u32; 27], cells: &[BlockCells]) {
+        dispatch!(Level::new(), _simd => self.gather_by(orientation, slots, cells));
+    }
+
+    #[inline(always)]
+    fn gather_by(&mut self, orientation: Orientation, slots: &[u32; 27], cells: &[BlockCells]) {
         // Rows go straight to where they belong, unless x itself is the slow axis: then slices are turned
         // afterwards.
         match (orientation.major == 1, orientation.is_up[1]) {
@@ -79,6 +86,7 @@ impl Neighbourhood {
         }
     }
 
+    #[inline(always)]
     /// `FAST` from row to row and `SLOW` from slice to slice, as blocks are stored; rows from the highest to
     /// the lowest if `IS_UP`.
     fn gather_rows<const SLOW: usize, const FAST: usize, const IS_UP: bool>(
@@ -126,6 +134,7 @@ impl Neighbourhood {
         }
     }
 
+    #[inline(always)]
     /// Swaps the bits of lanes with the slices, for all rows of a slice at once.
     fn swap_x_and_z(&mut self) {
         let (slices, _) = self.rows.as_chunks_mut::<SLICE>();

@@ -290,7 +290,7 @@ impl Decide for Counting {
         truth
     }
 
-    fn row<S: Simd>(&mut self, row: &UnknownRow<S>, truth: Bits) -> Bits {
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }

@@ -27,6 +27,7 @@ pub(crate) const VOXEL_SUMS: usize = SLOPES + 16_384;
 
 /// Of a row, as it began.
 pub(crate) struct RowContexts<S: Simd> {
+    simd: S,
     /// The sixteen bytes of the nearest cells, and those of the cells along the ray.
     near_and_ray: u64x4<S>,
     /// 48 bytes of cells that are farther away, for the sums.
@@ -37,14 +38,13 @@ pub(crate) struct RowContexts<S: Simd> {
     counts: usize,
     /// The slopes of the rays along x and along y, in eight steps each, 256 times.
     slopes: usize,
-    own: &'static [Own; 16],
+    own: &'static [Own; 2],
 }
 
 /// Of a voxel, when all voxels of its row before it are coded.
 pub(crate) struct VoxelContexts<'a, S: Simd> {
     row: &'a RowContexts<S>,
     x: u32,
-    own: &'static Own,
     near_and_ray: u32,
 }
 
@@ -64,7 +64,6 @@ impl<S: Simd> VoxelContexts<'_, S> {
     pub(crate) fn places(&self) -> [usize; VOXEL_PLACES] {
         let (low, high) = self.row.wide;
         let wide = u64::from(column_of_32(low, self.x)) | u64::from(column_of_16(high, self.x)) << 32;
-        let wide = wide | self.own.wide;
         let twelve = |at: u32| (wide >> at) as usize & 4_095;
         let (near, ray) = (self.near(), self.ray());
         [
@@ -93,36 +92,25 @@ fn column_of_16<S: Simd>(bytes: u64x2<S>, bit: u32) -> u16 {
     highest.simd_lt(0).to_bitmask() as u16
 }
 
-/// What the two voxels before one in its row add to its contexts.
-#[derive(Clone, Copy)]
+/// What a voxel that was seen adds to the contexts of the two after it, as if it were the first of its row.
 struct Own {
-    near: u32,
-    wide: u64,
+    near_and_ray: [u64; 4],
+    wide: ([u64; 4], [u64; 2]),
 }
 
-/// By whether the voxel two before was seen, the voxel before, and the same of Occupied; of rays that go along x
-/// most, and along y.
-static OWN: [[Own; 16]; 2] = {
-    let mut table = [[Own { near: 0, wide: 0 }; 16]; 2];
-    let mut n = 0;
-    while n < 32 {
-        let bits = n as u64 % 16;
-        let (seen_2, seen, occupied_2, occupied) = (bits & 1, bits >> 1 & 1, bits >> 2 & 1, bits >> 3);
-        // The two bits of a state stand two apart.
-        table[n / 16][n % 16] = if n / 16 == 1 {
-            Own {
-                near: (seen << 9 | occupied << 11) as u32,
-                wide: (occupied << 19 | seen_2 << 41 | occupied_2 << 43) as u64,
-            }
-        } else {
-            Own {
-                near: (seen << 8 | occupied << 10) as u32,
-                wide: (seen << 2 | occupied << 18 | seen_2 << 40 | occupied_2 << 42) as u64,
-            }
-        };
-        n += 1;
+/// By whether the sensor is farther away along y than along x, and whether the voxel is Occupied.
+static OWN: [[Own; 2]; 2] = {
+    // A bit of the voxel after it, and of the one after that. The two bits of a state stand two bytes apart.
+    const fn own(near: u64, changed: u64, found: u64, distant: u64) -> Own {
+        Own {
+            near_and_ray: [0, near << 1, 0, 0],
+            wide: ([changed << 1, 0, found << 1, 0], [0, distant << 2]),
+        }
     }
-    table
+    [
+        [own(1, 1 << 16, 0, 1), own(1 | 1 << 16, 1 << 16, 1 << 16, 1 | 1 << 16)],
+        [own(1 << 8, 0, 0, 1 << 8), own(1 << 8 | 1 << 24, 0, 1 << 24, 1 << 8 | 1 << 24)],
+    ]
 };
 
 impl<S: Simd> RowContexts<S> {
@@ -146,6 +134,7 @@ impl<S: Simd> RowContexts<S> {
         let slope = (slope_b / 4).min(3) as u32 | ((slope_c / 4).min(3) as u32) << 2;
         let all = (slope >> 1 & 1 | slope >> 2 & 2) << 14 | slope << 24;
         Self {
+            simd,
             near_and_ray: near_and_ray.simd_into(simd),
             wide: ([a, b, c, d].simd_into(simd), [e, f].simd_into(simd)),
             all,
@@ -155,13 +144,20 @@ impl<S: Simd> RowContexts<S> {
         }
     }
 
-    /// Of a voxel, where these of the row have been seen, and these of them are Occupied.
+    /// Of a voxel.
     #[inline(always)]
-    pub(crate) fn of_voxel(&self, x: u32, seen: u32, occupied: u32) -> VoxelContexts<'_, S> {
-        let before = |voxels: u32| voxels << 2 >> x & 3;
-        let own = &self.own[(before(seen) | before(occupied) << 2) as usize];
-        let near_and_ray = column_of_32(self.near_and_ray, x) | own.near | self.all;
-        VoxelContexts { row: self, x, own, near_and_ray }
+    pub(crate) fn of_voxel(&self, x: u32) -> VoxelContexts<'_, S> {
+        VoxelContexts { row: self, x, near_and_ray: column_of_32(self.near_and_ray, x) | self.all }
+    }
+
+    /// Takes in that a voxel of the row was seen: those after it know.
+    #[inline(always)]
+    pub(crate) fn note(&mut self, x: u32, is_occupied: bool) {
+        let (own, x) = (&self.own[usize::from(is_occupied)], x & 7);
+        // Bits beyond the row come to those of voxels that are coded.
+        self.near_and_ray |= u64x4::simd_from(self.simd, own.near_and_ray) << x;
+        self.wide.0 |= u64x4::simd_from(self.simd, own.wide.0) << x;
+        self.wide.1 |= u64x2::simd_from(self.simd, own.wide.1) << x;
     }
 }
 
