@@ -36,7 +36,7 @@ impl Habits {
         if self.rate == 0 {
             self.sets = vec![set];
             self.rate = match set {
-                TableSet::Dense => 180,
+                TableSet::Dense => 140,
                 TableSet::Sparse => 380,
                 TableSet::Obstacles => 900,
             };
