@@ -5,7 +5,7 @@ use flockmap_grid::{Changes, Layer, Stamp, VoxelBox, meet};
 use super::block_box::{BOX_BLOCKS_MAX, BlockBox};
 use super::gap_coding;
 use super::habits::Habits;
-use super::head::{Head, whole};
+use super::head::{Head, as_sent};
 use super::known::Known;
 use super::order;
 use super::section::{self, Workspace};
@@ -75,7 +75,7 @@ fn modelled(
     changes: &Changes,
     room: impl Fn(usize, &VoxelBox) -> usize,
 ) -> Result<Vec<BatchDraft>, EncodeError> {
-    let sensor = whole(sensor);
+    let sensor = as_sent(sensor);
     let is_obstacles = changes.blocks().iter().all(|(_, block)| *block.free() == [0; 8]);
     let sets: &[_] = if is_obstacles { &[TableSet::Obstacles] } else { &[TableSet::Dense, TableSet::Sparse] };
     let mut habits = Habits::new(sets);

@@ -13,7 +13,9 @@ use super::order::Changed;
 use super::orientation::Orientation;
 use super::voxel_contexts::VoxelContexts;
 use fearless_simd::Simd;
-use super::tables::{TableSet, Tables, voxel_probability};
+use super::row_contexts::{ROW_PLACES, RowFlag};
+use super::mixing;
+use super::tables::{TableSet, Tables, sum, voxel_probability};
 use flockmap_coder::Probability;
 
 /// Blocks that are looked at: so many from the front and so many from the middle, at most one in
@@ -95,6 +97,20 @@ impl Decide for Trial {
         truth
     }
 
+    fn row_flag(
+        &mut self,
+        flag: RowFlag,
+        context: usize,
+        places: impl FnOnce() -> [usize; ROW_PLACES],
+        truth: bool,
+    ) -> bool {
+        let places = places();
+        self.pay(truth, |tables| {
+            mixing::at_start(tables.start.flag[context], || sum(&tables.sums.row[flag as usize], places))
+        });
+        truth
+    }
+
     fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
@@ -102,12 +118,20 @@ impl Decide for Trial {
 
 impl DecideVoxel for Trial {
     fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))]);
+        let places = contexts.places();
+        self.pay(truth, |tables| {
+            let level = voxel_probability(kind, tables.voxel.of(contexts));
+            mixing::at_start(tables.start.voxel[level], || sum(&tables.sums.voxel, places))
+        });
         truth
     }
 
     fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.kind[usize::from(tables.kind.of(contexts))]);
+        let places = contexts.places();
+        self.pay(truth, |tables| {
+            let level = usize::from(tables.kind.of(contexts));
+            mixing::at_start(tables.start.kind[level], || sum(&tables.sums.kind, places))
+        });
         truth
     }
 }

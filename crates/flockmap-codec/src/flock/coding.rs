@@ -5,9 +5,9 @@ use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::mixing::{self, Lesson, START, Weights};
 use super::row_contexts::{ROW_FLAGS, ROW_PLACES, RowFlag};
 use super::tables::{
-    KIND_PROBABILITIES, Probabilities, Tables, VOXEL_PROBABILITIES, voxel_probability,
+    KIND_PROBABILITIES, Probabilities, Tables, VOXEL_PROBABILITIES, sum, voxel_probability,
 };
-use super::voxel_contexts::{VOXEL_SUMS, VoxelContexts};
+use super::voxel_contexts::{VoxelContexts};
 use fearless_simd::Simd;
 use crate::work;
 use flockmap_coder::{CodeBit, Probability};
@@ -65,8 +65,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
         if mixing::is_sure(*probability) {
             return self.bits.code(probability, truth, FLAG_RATE);
         }
-        let values = &self.tables.sums.row[flag as usize];
-        let sum = places().into_iter().map(|place| i32::from(values[place])).sum();
+        let sum = sum(&self.tables.sums.row[flag as usize], places());
         let weights = &mut self.weights.row[flag as usize];
         let mut lesson = Lesson::default();
         let bit = mixing::code(&mut self.bits, probability, sum, weights, &mut lesson, truth, FLAG_RATE);
@@ -103,12 +102,6 @@ struct RowCoding<'a, B> {
     lessons: [Lesson; 2],
 }
 
-/// What the contexts of a voxel add up to.
-#[inline(always)]
-fn sum<S: Simd>(values: &[i8; VOXEL_SUMS], contexts: &VoxelContexts<'_, S>) -> i32 {
-    contexts.places().into_iter().map(|place| i32::from(values[place])).sum()
-}
-
 impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
     #[inline(always)]
     fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
@@ -116,7 +109,7 @@ impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
         if mixing::is_sure(self.voxel[at]) {
             return self.bits.code(&mut self.voxel[at], truth, VOXEL_RATE);
         }
-        let sum = sum(&self.tables.sums.voxel, contexts);
+        let sum = sum(&self.tables.sums.voxel, contexts.places());
         let (weights, lesson) = (&self.weights[0], &mut self.lessons[0]);
         mixing::code(self.bits, &mut self.voxel[at], sum, weights, lesson, truth, VOXEL_RATE)
     }
@@ -127,7 +120,7 @@ impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
         if mixing::is_sure(self.kind[at]) {
             return self.bits.code(&mut self.kind[at], truth, KIND_RATE);
         }
-        let sum = sum(&self.tables.sums.kind, contexts);
+        let sum = sum(&self.tables.sums.kind, contexts.places());
         let (weights, lesson) = (&self.weights[1], &mut self.lessons[1]);
         mixing::code(self.bits, &mut self.kind[at], sum, weights, lesson, truth, KIND_RATE)
     }

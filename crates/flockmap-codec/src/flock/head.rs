@@ -11,25 +11,25 @@ use crate::fields::Fields;
 /// What a payload begins with.
 pub(crate) struct Head {
     pub(crate) set: TableSet,
-    /// In sixteenths of a voxel, a [`whole`] number of units.
+    /// In sixteenths of a voxel, [`as_sent`].
     pub(crate) sensor: [i32; 3],
     /// Blocks of the box before the first that is coded.
     pub(crate) before: u64,
 }
 
 /// Sixteenths of a voxel to which the place of a sensor is rounded.
-const SENSOR_UNIT: i32 = 16;
+const SENSOR_UNIT: i32 = 32;
 
-/// A sensor as it is sent.
-pub(crate) fn whole(sensor: [i32; 3]) -> [i32; 3] {
-    sensor.map(|at| at & -SENSOR_UNIT)
+/// A sensor as it is sent: in the middle of its unit.
+pub(crate) fn as_sent(sensor: [i32; 3]) -> [i32; 3] {
+    sensor.map(|at| at & -SENSOR_UNIT | SENSOR_UNIT / 2)
 }
 
 impl Head {
     pub(crate) fn write(&self, region: &BlockBox, out: &mut Vec<u8>) {
         put_varint(out, self.before << 2 | u64::from(self.set.id()));
         for (at, middle) in self.sensor.into_iter().zip(region.middle()) {
-            put_zigzag(out, (i64::from(at) - middle) / i64::from(SENSOR_UNIT));
+            put_zigzag(out, (i64::from(at) - middle).div_euclid(i64::from(SENSOR_UNIT)));
         }
     }
 
@@ -42,8 +42,8 @@ impl Head {
         let mut sensor = [0; 3];
         for (at, middle) in sensor.iter_mut().zip(region.middle()) {
             let place = reader.signed("sensor")?.checked_mul(SENSOR_UNIT.into());
-            let place =
-                place.and_then(|place| place.checked_add(middle)).and_then(|at| i32::try_from(at).ok());
+            let place = place.and_then(|place| place.checked_add(middle + i64::from(SENSOR_UNIT / 2)));
+            let place = place.and_then(|at| i32::try_from(at).ok());
             *at = place.ok_or_else(|| wrong("the sensor is within 2³¹ sixteenths of a voxel"))?;
         }
         Ok(Self { set, sensor, before: number >> 2 })

@@ -31,6 +31,13 @@ pub(crate) const START: Weights = Weights { adaptive: TRUST, sum: 1 << 14, bias:
 pub(crate) const TRUST: i32 = 11_469;
 
 impl Weights {
+    /// What two log-odds become.
+    #[inline(always)]
+    fn mixed(&self, own: Odds, other: Odds) -> Probability {
+        let odds = self.adaptive.wrapping_mul(own).wrapping_add(self.sum.wrapping_mul(other));
+        probability_of(odds.wrapping_add(self.bias) >> 14)
+    }
+
     /// Takes in what was learned.
     #[inline(always)]
     pub(crate) fn learn(&mut self, lesson: Lesson) {
@@ -38,6 +45,12 @@ impl Weights {
         self.sum = self.sum.wrapping_add(lesson.sum);
         self.bias = self.bias.wrapping_add(lesson.bias);
     }
+}
+
+/// A probability that packages begin with, mixed with a sum as they begin.
+#[inline(always)]
+pub(crate) fn at_start(probability: Probability, sum: impl FnOnce() -> i32) -> Probability {
+    if is_sure(probability) { probability } else { START.mixed(odds_of(probability), sum() * ODDS_OF_SUM) }
 }
 
 /// What some decisions say of their weights, which do not change meanwhile: so the next decision need not wait
@@ -61,8 +74,7 @@ pub(crate) fn code<B: CodeBit>(
     rate: u32,
 ) -> bool {
     let (own, other) = (odds_of(*probability), sum * ODDS_OF_SUM);
-    let odds = weights.adaptive.wrapping_mul(own).wrapping_add(weights.sum.wrapping_mul(other));
-    let mixed = probability_of(odds.wrapping_add(weights.bias) >> 14);
+    let mixed = weights.mixed(own, other);
     let bit = bits.code_as(mixed, probability, truth, rate);
     let error = (i32::from(bit) << 16) - i32::from(mixed);
     lesson.adaptive = lesson.adaptive.wrapping_add((error * own) >> 16);

@@ -88,6 +88,12 @@ impl Sums<i8> {
     }
 }
 
+/// What the values at these places add up to.
+#[inline(always)]
+pub(crate) fn sum<const N: usize>(values: &[i8], places: [usize; N]) -> i32 {
+    places.into_iter().map(|place| i32::from(values[place])).sum()
+}
+
 /// One set of tables, 540 KB.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Tables {
