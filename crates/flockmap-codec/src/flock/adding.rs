@@ -5,7 +5,7 @@ use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::mixing::{self, ODDS_OF_SUM, TRUST};
 use super::odds::{odds_of, probability_of};
-use super::row_contexts::{ROW_FLAGS, ROW_PLACES, ROW_SUMS, RowFlag};
+use super::flag_contexts::{MIXED_FLAGS, FLAG_PLACES, FLAG_SUMS, MixedFlag};
 use super::tables::{Sums, Tables, voxel_probability};
 use super::voxel_contexts::{VOXEL_SUMS, VoxelContexts};
 use fearless_simd::Simd;
@@ -29,13 +29,13 @@ pub(crate) struct Adding {
 struct Fine {
     voxel: Vec<i32>,
     kind: Vec<i32>,
-    row: [Vec<i32>; ROW_FLAGS],
+    row: [Vec<i32>; MIXED_FLAGS],
 }
 
 impl Adding {
     pub(crate) fn new(tables: Tables) -> Self {
         let none = |count| vec![0; count];
-        let row = core::array::from_fn(|_| none(ROW_SUMS));
+        let row = core::array::from_fn(|_| none(FLAG_SUMS));
         let sums = Fine { voxel: none(VOXEL_SUMS), kind: none(VOXEL_SUMS), row };
         Self { tables, sums, rate: 0 }
     }
@@ -85,11 +85,11 @@ impl Decide for Adding {
         truth
     }
 
-    fn row_flag(
+    fn mixed_flag(
         &mut self,
-        flag: RowFlag,
+        flag: MixedFlag,
         context: usize,
-        places: impl FnOnce() -> [usize; ROW_PLACES],
+        places: impl FnOnce() -> [usize; FLAG_PLACES],
         truth: bool,
     ) -> bool {
         let probability = self.tables.start.flag[context];

@@ -13,7 +13,7 @@ use super::known::KnownClasses;
 use super::neighbourhood::{Neighbourhood, ROW, SLICE, middle};
 use super::orientation::{Distance, TurnedChanges};
 use super::rays::Rays;
-use super::row_contexts::{self, RowFlag};
+use super::flag_contexts::{self, MixedFlag, Slice};
 use super::voxel_contexts::RowContexts;
 
 // Contexts of flags. The first 2,268 are for the flag of a block, see `flags.rs`.
@@ -123,7 +123,11 @@ impl<S: Simd, D: Decide> Block<'_, S, D> {
                 + 8 * usize::from(self.is_surprised)
         };
         let class = class * 3 + usize::from(unknown_rows > 2) + usize::from(unknown_rows > 5);
-        self.is_expected = self.decide.flag(COLD_SLICE + class, (truth.free[z] | truth.occupied[z]) != 0);
+        let changed = (0..z).filter(|z| (self.coded.free[*z] | self.coded.occupied[*z]) != 0).count();
+        let slice = Slice { rows: [own, over, under], unknown_rows, z, changed, distance: self.rays.distance[2] };
+        let has_changes = (truth.free[z] | truth.occupied[z]) != 0;
+        let places = || slice.places(class);
+        self.is_expected = self.decide.mixed_flag(MixedFlag::ColdSlice, COLD_SLICE + class, places, has_changes);
         !self.is_expected
     }
 
@@ -137,9 +141,9 @@ impl<S: Simd, D: Decide> Block<'_, S, D> {
             + 2 * usize::from(occupied(own) != 0)
             + 4 * usize::from(new(around) != 0);
         let cells = &*self.cells;
-        let places = || row_contexts::places(cells, at, voxels, class);
+        let places = || flag_contexts::of_row(cells, at, voxels, class);
         let may = truth.occupied & voxels != 0;
-        if !self.decide.row_flag(RowFlag::FreeToOccupied, FREE_TO_OCCUPIED_IN_ROW + class, places, may) {
+        if !self.decide.mixed_flag(MixedFlag::FreeToOccupied, FREE_TO_OCCUPIED_IN_ROW + class, places, may) {
             return;
         }
         for bit in bits_of(voxels) {
@@ -175,9 +179,9 @@ impl<S: Simd, D: Decide> Block<'_, S, D> {
         let kind = match self.row_class(at, own, voxels) {
             RowClass::Cold(class) => {
                 let cells = &*self.cells;
-                let places = || row_contexts::places(cells, at, voxels, class);
+                let places = || flag_contexts::of_row(cells, at, voxels, class);
                 let is_seen = (truth.free | truth.occupied) & voxels != 0;
-                if !self.decide.row_flag(RowFlag::Cold, COLD_ROW + class, places, is_seen) {
+                if !self.decide.mixed_flag(MixedFlag::ColdRow, COLD_ROW + class, places, is_seen) {
                     return;
                 }
                 self.is_surprised = true;

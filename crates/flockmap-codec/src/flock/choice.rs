@@ -13,7 +13,7 @@ use super::order::Changed;
 use super::orientation::Orientation;
 use super::voxel_contexts::VoxelContexts;
 use fearless_simd::Simd;
-use super::row_contexts::{ROW_PLACES, RowFlag};
+use super::flag_contexts::{FLAG_PLACES, MixedFlag};
 use super::mixing;
 use super::tables::{TableSet, Tables, sum, voxel_probability};
 use flockmap_coder::Probability;
@@ -111,11 +111,11 @@ impl Decide for Trial {
         truth
     }
 
-    fn row_flag(
+    fn mixed_flag(
         &mut self,
-        flag: RowFlag,
+        flag: MixedFlag,
         context: usize,
-        places: impl FnOnce() -> [usize; ROW_PLACES],
+        places: impl FnOnce() -> [usize; FLAG_PLACES],
         truth: bool,
     ) -> bool {
         let places = places();

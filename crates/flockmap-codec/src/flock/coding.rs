@@ -3,7 +3,7 @@
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::mixing::{self, Lesson, START, Weights};
-use super::row_contexts::{ROW_FLAGS, ROW_PLACES, RowFlag};
+use super::flag_contexts::{MIXED_FLAGS, FLAG_PLACES, MixedFlag};
 use super::tables::{
     KIND_PROBABILITIES, Probabilities, Tables, VOXEL_PROBABILITIES, sum, voxel_probability,
 };
@@ -32,13 +32,13 @@ pub(crate) struct Coding<'a, B> {
 struct AllWeights {
     voxel: Weights,
     kind: Weights,
-    row: [Weights; ROW_FLAGS],
+    row: [Weights; MIXED_FLAGS],
 }
 
 impl<'a, B> Coding<'a, B> {
     pub(crate) fn new(tables: &'static Tables, probabilities: &'a mut Probabilities, bits: B) -> Self {
         probabilities.clone_from(&tables.start);
-        let weights = AllWeights { voxel: START, kind: START, row: [START; ROW_FLAGS] };
+        let weights = AllWeights { voxel: START, kind: START, row: [START; MIXED_FLAGS] };
         Self { probabilities, tables, weights, bits, steps: 0 }
     }
 }
@@ -53,11 +53,11 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     }
 
     #[inline(always)]
-    fn row_flag(
+    fn mixed_flag(
         &mut self,
-        flag: RowFlag,
+        flag: MixedFlag,
         context: usize,
-        places: impl FnOnce() -> [usize; ROW_PLACES],
+        places: impl FnOnce() -> [usize; FLAG_PLACES],
         truth: bool,
     ) -> bool {
         self.steps += work::DECISION_STEPS;

@@ -1,7 +1,7 @@
 //! The decisions that a block is made of. Writing, reading and training each have an implementation.
 
 use super::cells::Bits;
-use super::row_contexts::{ROW_PLACES, RowFlag};
+use super::flag_contexts::{FLAG_PLACES, MixedFlag};
 use super::voxel_contexts::{RowContexts, VoxelContexts};
 use fearless_simd::Simd;
 
@@ -14,11 +14,11 @@ pub(crate) trait Decide {
     fn flag(&mut self, context: usize, truth: bool) -> bool;
     /// A flag of a row, with what else its sums look at.
     #[inline]
-    fn row_flag(
+    fn mixed_flag(
         &mut self,
-        _: RowFlag,
+        _: MixedFlag,
         context: usize,
-        _: impl FnOnce() -> [usize; ROW_PLACES],
+        _: impl FnOnce() -> [usize; FLAG_PLACES],
         truth: bool,
     ) -> bool {
         self.flag(context, truth)

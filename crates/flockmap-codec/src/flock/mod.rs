@@ -31,7 +31,7 @@ mod odds;
 mod orientation;
 mod planes;
 mod rays;
-mod row_contexts;
+mod flag_contexts;
 mod section;
 mod snapshot;
 mod tables;

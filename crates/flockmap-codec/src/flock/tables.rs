@@ -7,7 +7,7 @@
 use std::sync::OnceLock;
 
 use super::decide::RowKind;
-use super::row_contexts::{ROW_FLAGS, ROW_SUMS};
+use super::flag_contexts::{MIXED_FLAGS, FLAG_SUMS};
 use super::voxel_contexts::{VOXEL_SUMS, VoxelContexts};
 use crate::deflate::inflate_exact;
 use fearless_simd::Simd;
@@ -78,13 +78,13 @@ pub(crate) struct Sums<T> {
     pub(crate) voxel: [T; VOXEL_SUMS],
     /// Of one that was: whether it is Occupied.
     pub(crate) kind: [T; VOXEL_SUMS],
-    /// Of flags of rows, by [`RowFlag`](super::row_contexts::RowFlag).
-    pub(crate) row: [[T; ROW_SUMS]; ROW_FLAGS],
+    /// Of flags of rows, by [`MixedFlag`](super::flag_contexts::MixedFlag).
+    pub(crate) row: [[T; FLAG_SUMS]; MIXED_FLAGS],
 }
 
 impl Sums<i8> {
     pub(crate) fn none() -> Box<Self> {
-        Box::new(Self { voxel: [0; VOXEL_SUMS], kind: [0; VOXEL_SUMS], row: [[0; ROW_SUMS]; ROW_FLAGS] })
+        Box::new(Self { voxel: [0; VOXEL_SUMS], kind: [0; VOXEL_SUMS], row: [[0; FLAG_SUMS]; MIXED_FLAGS] })
     }
 }
 
@@ -140,7 +140,7 @@ impl TableSet {
 pub(crate) const SET_BYTES: usize =
     2 * (NEAR_CONTEXTS + RAY_CONTEXTS + VOXEL_PROBABILITIES + KIND_PROBABILITIES + FLAG_CONTEXTS)
         + 2 * VOXEL_SUMS
-        + ROW_FLAGS * ROW_SUMS;
+        + MIXED_FLAGS * FLAG_SUMS;
 
 /// The tables that are shipped, one zlib stream of all sets in their order. Anything else would be another
 /// codec.

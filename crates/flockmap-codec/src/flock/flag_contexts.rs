@@ -1,30 +1,34 @@
-//! The contexts of the flag of a row. Each has a trained table, and the values of all add up.
+//! The contexts of the flags of rows and slices. Each has a trained table, and the values of all add up.
 
 use super::cells::Row;
 use super::neighbourhood::Neighbourhood;
 
-/// Rows with Unknown voxels beyond which nothing has changed; rows of which a Free voxel may become Occupied.
+/// Flags that are mixed.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(crate) enum RowFlag {
-    Cold = 0,
+pub(crate) enum MixedFlag {
+    /// Whether a row changes beyond which nothing has.
+    ColdRow = 0,
+    /// Whether Free voxels of a row become Occupied.
     FreeToOccupied = 1,
+    /// Whether a slice changes beyond which nothing has.
+    ColdSlice = 2,
 }
 
-pub(crate) const ROW_FLAGS: usize = 2;
-/// Contexts of a flag of a row.
-pub(crate) const ROW_PLACES: usize = 4;
+pub(crate) const MIXED_FLAGS: usize = 3;
+/// Contexts of a flag that have a value in the sums.
+pub(crate) const FLAG_PLACES: usize = 4;
 
 // Where in the sums each table begins.
 const KNOWN: usize = 8_192;
 const OCCUPIED: usize = KNOWN + 4_096;
 const PLACE: usize = OCCUPIED + 4_096;
-/// Values of all tables of a flag of a row.
-pub(crate) const ROW_SUMS: usize = PLACE + 4_096;
+/// Values of all tables of a flag.
+pub(crate) const FLAG_SUMS: usize = PLACE + 4_096;
 
 /// Where the values of a flag are in the sums: of the row at a place, of which these voxels may change, and
 /// with a class below 64.
 #[inline(always)]
-pub(crate) fn places(cells: &Neighbourhood, at: usize, voxels: u8, class: usize) -> [usize; ROW_PLACES] {
+pub(crate) fn of_row(cells: &Neighbourhood, at: usize, voxels: u8, class: usize) -> [usize; FLAG_PLACES] {
     // So many rows and slices on.
     let row = |y: isize, z: isize| cells.row(at.wrapping_add_signed(16 * z + y));
     let known = |row: Row| ((row | row >> 16) >> 3) as u8;
@@ -64,6 +68,36 @@ pub(crate) fn places(cells: &Neighbourhood, at: usize, voxels: u8, class: usize)
                 | some(known(own)) << 10),
         PLACE + (class | y << 6 | z << 9),
     ]
+}
+
+/// A slice beyond which nothing has changed.
+pub(crate) struct Slice {
+    /// All its rows laid over each other, those of the slice beyond it, and those of the slice before it.
+    pub(crate) rows: [Row; 3],
+    /// How many have Unknown voxels.
+    pub(crate) unknown_rows: usize,
+    pub(crate) z: usize,
+    /// How many slices of the block have changes so far.
+    pub(crate) changed: usize,
+    /// From the middle of the block to the sensor across the slices, in sixteenths of a voxel.
+    pub(crate) distance: i32,
+}
+
+impl Slice {
+    /// Where the values of its flag are in the sums; the class is below 64.
+    #[inline(always)]
+    pub(crate) fn places(&self, class: usize) -> [usize; FLAG_PLACES] {
+        let known = self.rows.map(|row| class_of(1, ((row | row >> 16) >> 3) as u8));
+        let occupied = self.rows.map(|row| ((row >> 51) as u8).count_ones() as usize);
+        let blocks = (self.distance >> 7).clamp(0, 15) as usize;
+        let class = class & 63;
+        [
+            class | self.z << 6 | self.changed.min(3) << 9 | occupied[0].min(3) << 11,
+            KNOWN + (known[0] | known[1] << 2 | known[2] << 4 | self.unknown_rows.min(15) << 6 | occupied[1].min(3) << 10),
+            OCCUPIED + (occupied[0] | occupied[1] << 4 | occupied[2] << 8),
+            PLACE + (blocks | self.z << 4 | self.changed.min(3) << 7 | (self.unknown_rows / 3).min(3) << 9 | usize::from(occupied[0] > 0) << 11),
+        ]
+    }
 }
 
 #[inline(always)]
