@@ -6,8 +6,8 @@ use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::mixing::{self, ODDS_OF_SUM, TRUST};
 use super::odds::{odds_of, probability_of};
 use super::flag_contexts::{MIXED_FLAGS, FLAG_PLACES, FLAG_SUMS, MixedFlag};
-use super::tables::{Sums, Tables, voxel_probability};
-use super::voxel_contexts::{VOXEL_SUMS, VoxelContexts};
+use super::tables::{NEAR_CONTEXTS, QUESTIONS, Question, RAY_CONTEXTS, Tables, voxel_probability};
+use super::voxel_contexts::{VoxelContexts, WIDE_SUMS};
 use fearless_simd::Simd;
 use flockmap_coder::Probability;
 
@@ -18,26 +18,25 @@ const FINE: i32 = 1 << 16;
 /// rare contexts get somewhere, and less and less.
 pub(crate) const RATES: [i32; 4] = [46, 22, 10, 5];
 
+/// Values of all contexts of a voxel in one list: the nearest cells, the ray, the others.
+const VOXEL_SUMS: usize = WIDE_AT + WIDE_SUMS;
+const RAY_AT: usize = NEAR_CONTEXTS;
+const WIDE_AT: usize = RAY_AT + RAY_CONTEXTS;
+
 /// Sums while they are learned, in fine steps.
 pub(crate) struct Adding {
     tables: Tables,
-    sums: Fine,
+    /// By [`Question`].
+    voxel: [Vec<i32>; QUESTIONS],
+    flags: [Vec<i32>; MIXED_FLAGS],
     rate: i32,
-}
-
-/// The same as [`Sums`], too large for a stack.
-struct Fine {
-    voxel: Vec<i32>,
-    kind: Vec<i32>,
-    row: [Vec<i32>; MIXED_FLAGS],
 }
 
 impl Adding {
     pub(crate) fn new(tables: Tables) -> Self {
-        let none = |count| vec![0; count];
-        let row = core::array::from_fn(|_| none(FLAG_SUMS));
-        let sums = Fine { voxel: none(VOXEL_SUMS), kind: none(VOXEL_SUMS), row };
-        Self { tables, sums, rate: 0 }
+        let voxel = core::array::from_fn(|_| vec![0; VOXEL_SUMS]);
+        let flags = core::array::from_fn(|_| vec![0; FLAG_SUMS]);
+        Self { tables, voxel, flags, rate: 0 }
     }
 
     /// Begins a round.
@@ -48,16 +47,28 @@ impl Adding {
     /// The tables with the sums as they are.
     pub(crate) fn tables(&self) -> Tables {
         let mut tables = self.tables.clone();
-        let Sums { voxel, kind, row } = &mut *tables.sums;
-        let shipped = |to: &mut [i8], from: &[i32]| {
-            for (to, from) in to.iter_mut().zip(from) {
-                *to = ((from + FINE / 2) >> 16).clamp(-127, 127) as i8;
+        let shipped = |value: &i32| ((value + FINE / 2) >> 16).clamp(-127, 127) as i8;
+        for (question, values) in self.voxel.iter().enumerate() {
+            let (near, rest) = values.split_at(NEAR_CONTEXTS);
+            let (ray, wide) = rest.split_at(RAY_CONTEXTS);
+            for (to, from) in tables.near.iter_mut().zip(near).chain(tables.ray.iter_mut().zip(ray)) {
+                to.value[question] = shipped(from);
             }
-        };
-        shipped(voxel, &self.sums.voxel);
-        shipped(kind, &self.sums.kind);
-        row.iter_mut().zip(&self.sums.row).for_each(|(to, from)| shipped(to, from));
+            tables.wide.iter_mut().zip(wide).for_each(|(to, from)| to[question] = shipped(from));
+        }
+        for (to, from) in tables.flags.iter_mut().zip(&self.flags) {
+            to.iter_mut().zip(from).for_each(|(to, from)| *to = shipped(from));
+        }
         tables
+    }
+
+    fn learn_voxel<S: Simd>(&mut self, question: Question, probability: Probability, contexts: &VoxelContexts<'_, S>, truth: bool) {
+        if mixing::is_sure(probability) {
+            return;
+        }
+        let [a, b, c, d, e, f] = contexts.wide_places().map(|place| WIDE_AT + place);
+        let places = [contexts.near(), RAY_AT + contexts.ray(), a, b, c, d, e, f];
+        learn(&mut self.voxel[question as usize], places, probability, truth, self.rate);
     }
 }
 
@@ -94,7 +105,7 @@ impl Decide for Adding {
     ) -> bool {
         let probability = self.tables.start.flag[context];
         if !mixing::is_sure(probability) {
-            learn(&mut self.sums.row[flag as usize], places(), probability, truth, self.rate);
+            learn(&mut self.flags[flag as usize], places(), probability, truth, self.rate);
         }
         truth
     }
@@ -106,20 +117,14 @@ impl Decide for Adding {
 
 impl DecideVoxel for Adding {
     fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
-        let Self { tables, sums, rate } = self;
-        let probability = tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))];
-        if !mixing::is_sure(probability) {
-            learn(&mut sums.voxel, contexts.places(), probability, truth, *rate);
-        }
+        let at = voxel_probability(kind, self.tables.level(Question::Seen, contexts));
+        self.learn_voxel(Question::Seen, self.tables.start.voxel[at], contexts, truth);
         truth
     }
 
     fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
-        let Self { tables, sums, rate } = self;
-        let probability = tables.start.kind[usize::from(tables.kind.of(contexts))];
-        if !mixing::is_sure(probability) {
-            learn(&mut sums.kind, contexts.places(), probability, truth, *rate);
-        }
+        let at = usize::from(self.tables.level(Question::Kind, contexts));
+        self.learn_voxel(Question::Kind, self.tables.start.kind[at], contexts, truth);
         truth
     }
 }

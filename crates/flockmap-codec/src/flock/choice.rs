@@ -15,7 +15,7 @@ use super::voxel_contexts::VoxelContexts;
 use fearless_simd::Simd;
 use super::flag_contexts::{FLAG_PLACES, MixedFlag};
 use super::mixing;
-use super::tables::{TableSet, Tables, sum, voxel_probability};
+use super::tables::{Question, TableSet, Tables, voxel_probability};
 use flockmap_coder::Probability;
 
 /// Blocks that are looked at: so many from the front and so many from the middle, at most one in
@@ -120,7 +120,7 @@ impl Decide for Trial {
     ) -> bool {
         let places = places();
         self.pay(truth, |tables| {
-            mixing::at_start(tables.start.flag[context], || sum(&tables.sums.row[flag as usize], places))
+            mixing::at_start(tables.start.flag[context], || tables.flag_sum(flag, places))
         });
         truth
     }
@@ -132,19 +132,17 @@ impl Decide for Trial {
 
 impl DecideVoxel for Trial {
     fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
-        let places = contexts.places();
         self.pay(truth, |tables| {
-            let level = voxel_probability(kind, tables.voxel.of(contexts));
-            mixing::at_start(tables.start.voxel[level], || sum(&tables.sums.voxel, places))
+            let level = voxel_probability(kind, tables.level(Question::Seen, contexts));
+            mixing::at_start(tables.start.voxel[level], || tables.sum(Question::Seen, contexts))
         });
         truth
     }
 
     fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
-        let places = contexts.places();
         self.pay(truth, |tables| {
-            let level = usize::from(tables.kind.of(contexts));
-            mixing::at_start(tables.start.kind[level], || sum(&tables.sums.kind, places))
+            let level = usize::from(tables.level(Question::Kind, contexts));
+            mixing::at_start(tables.start.kind[level], || tables.sum(Question::Kind, contexts))
         });
         truth
     }

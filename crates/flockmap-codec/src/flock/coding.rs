@@ -5,9 +5,9 @@ use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::mixing::{self, Lesson, START, Weights};
 use super::flag_contexts::{MIXED_FLAGS, FLAG_PLACES, MixedFlag};
 use super::tables::{
-    KIND_PROBABILITIES, Probabilities, Tables, VOXEL_PROBABILITIES, sum, voxel_probability,
+    KIND_PROBABILITIES, Probabilities, Question, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
-use super::voxel_contexts::{VoxelContexts};
+use super::voxel_contexts::VoxelContexts;
 use fearless_simd::Simd;
 use crate::work;
 use flockmap_coder::{CodeBit, Probability};
@@ -65,7 +65,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
         if mixing::is_sure(*probability) {
             return self.bits.code(probability, truth, FLAG_RATE);
         }
-        let sum = sum(&self.tables.sums.row[flag as usize], places());
+        let sum = self.tables.flag_sum(flag, places());
         let weights = &mut self.weights.row[flag as usize];
         let mut lesson = Lesson::default();
         let bit = mixing::code(&mut self.bits, probability, sum, weights, &mut lesson, truth, FLAG_RATE);
@@ -105,22 +105,22 @@ struct RowCoding<'a, B> {
 impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
     #[inline(always)]
     fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
-        let at = voxel_probability(kind, self.tables.voxel.of(contexts));
+        let at = voxel_probability(kind, self.tables.level(Question::Seen, contexts));
         if mixing::is_sure(self.voxel[at]) {
             return self.bits.code(&mut self.voxel[at], truth, VOXEL_RATE);
         }
-        let sum = sum(&self.tables.sums.voxel, contexts.places());
+        let sum = self.tables.sum(Question::Seen, contexts);
         let (weights, lesson) = (&self.weights[0], &mut self.lessons[0]);
         mixing::code(self.bits, &mut self.voxel[at], sum, weights, lesson, truth, VOXEL_RATE)
     }
 
     #[inline(always)]
     fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
-        let at = usize::from(self.tables.kind.of(contexts));
+        let at = usize::from(self.tables.level(Question::Kind, contexts));
         if mixing::is_sure(self.kind[at]) {
             return self.bits.code(&mut self.kind[at], truth, KIND_RATE);
         }
-        let sum = sum(&self.tables.sums.kind, contexts.places());
+        let sum = self.tables.sum(Question::Kind, contexts);
         let (weights, lesson) = (&self.weights[1], &mut self.lessons[1]);
         mixing::code(self.bits, &mut self.kind[at], sum, weights, lesson, truth, KIND_RATE)
     }

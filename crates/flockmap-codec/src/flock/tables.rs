@@ -7,8 +7,8 @@
 use std::sync::OnceLock;
 
 use super::decide::RowKind;
-use super::flag_contexts::{MIXED_FLAGS, FLAG_SUMS};
-use super::voxel_contexts::{VOXEL_SUMS, VoxelContexts};
+use super::flag_contexts::{FLAG_PLACES, FLAG_SUMS, MIXED_FLAGS, MixedFlag};
+use super::voxel_contexts::{VoxelContexts, WIDE_SUMS};
 use crate::deflate::inflate_exact;
 use fearless_simd::Simd;
 use flockmap_coder::Probability;
@@ -49,60 +49,75 @@ impl Default for Probabilities {
     }
 }
 
-/// What each context is worth for one sort of decision: levels below [`LEVELS`]. A byte each, so that much of
-/// it stays in the caches.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub(crate) struct Levels {
-    pub(crate) near: [u8; NEAR_CONTEXTS],
-    pub(crate) ray: [u8; RAY_CONTEXTS],
+/// What is asked of a voxel. Both questions are asked in the same contexts, so what is known of both stands together in
+/// the caches.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Question {
+    /// Whether an Unknown voxel was seen.
+    Seen = 0,
+    /// Whether one that was is Occupied.
+    Kind = 1,
 }
 
-impl Levels {
-    pub(crate) fn even() -> Box<Self> {
-        let even = LEVELS as u8 / 2;
-        Box::new(Self { near: [even; NEAR_CONTEXTS], ray: [even; RAY_CONTEXTS] })
-    }
+pub(crate) const QUESTIONS: usize = 2;
 
-    /// The levels of both contexts as one number, below `LEVELS`².
-    #[inline(always)]
-    pub(crate) fn of<S: Simd>(&self, contexts: &VoxelContexts<'_, S>) -> u16 {
-        let (near, ray) = (self.near[contexts.near()], self.ray[contexts.ray()]);
-        u16::from(near) * LEVELS as u16 + u16::from(ray)
-    }
+/// What a context of the nearest cells or of the ray says of each [`Question`].
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Worth {
+    /// Below [`LEVELS`].
+    pub(crate) level: [u8; QUESTIONS],
+    /// What it adds to the log-odds.
+    pub(crate) value: [i8; QUESTIONS],
 }
 
-/// What contexts add to the log-odds of a decision, beside what its adaptive probability says.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub(crate) struct Sums<T> {
-    /// Of a voxel that may have been seen.
-    pub(crate) voxel: [T; VOXEL_SUMS],
-    /// Of one that was: whether it is Occupied.
-    pub(crate) kind: [T; VOXEL_SUMS],
-    /// Of flags of rows, by [`MixedFlag`](super::flag_contexts::MixedFlag).
-    pub(crate) row: [[T; FLAG_SUMS]; MIXED_FLAGS],
+impl Worth {
+    pub(crate) const EVEN: Self = Self { level: [LEVELS as u8 / 2; QUESTIONS], value: [0; QUESTIONS] };
 }
 
-impl Sums<i8> {
-    pub(crate) fn none() -> Box<Self> {
-        Box::new(Self { voxel: [0; VOXEL_SUMS], kind: [0; VOXEL_SUMS], row: [[0; FLAG_SUMS]; MIXED_FLAGS] })
-    }
-}
-
-/// What the values at these places add up to.
-#[inline(always)]
-pub(crate) fn sum<const N: usize>(values: &[i8], places: [usize; N]) -> i32 {
-    places.into_iter().map(|place| i32::from(values[place])).sum()
-}
-
-/// One set of tables, 540 KB.
+/// One set of tables, 550 KB.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Tables {
-    /// How likely an unknown voxel was seen.
-    pub(crate) voxel: Box<Levels>,
-    /// How likely a voxel that was seen is Occupied.
-    pub(crate) kind: Box<Levels>,
+    pub(crate) near: Box<[Worth; NEAR_CONTEXTS]>,
+    pub(crate) ray: Box<[Worth; RAY_CONTEXTS]>,
+    /// What the other contexts of a voxel add to the log-odds of each [`Question`].
+    pub(crate) wide: Box<[[i8; QUESTIONS]; WIDE_SUMS]>,
+    /// What contexts add to the log-odds of flags, by [`MixedFlag`](super::flag_contexts::MixedFlag).
+    pub(crate) flags: Box<[[i8; FLAG_SUMS]; MIXED_FLAGS]>,
     pub(crate) start: Box<Probabilities>,
-    pub(crate) sums: Box<Sums<i8>>,
+}
+
+impl Tables {
+    /// All are even, and add nothing.
+    pub(crate) fn even() -> Self {
+        Self {
+            near: Box::new([Worth::EVEN; NEAR_CONTEXTS]),
+            ray: Box::new([Worth::EVEN; RAY_CONTEXTS]),
+            wide: Box::new([[0; QUESTIONS]; WIDE_SUMS]),
+            flags: Box::new([[0; FLAG_SUMS]; MIXED_FLAGS]),
+            start: Box::default(),
+        }
+    }
+
+    /// The levels of the nearest cells and of the ray as one number, below `LEVELS`².
+    #[inline(always)]
+    pub(crate) fn level<S: Simd>(&self, question: Question, contexts: &VoxelContexts<'_, S>) -> u16 {
+        let level = |worth: Worth| u16::from(worth.level[question as usize]);
+        level(self.near[contexts.near()]) * LEVELS as u16 + level(self.ray[contexts.ray()])
+    }
+
+    /// What all contexts of a voxel add up to.
+    #[inline(always)]
+    pub(crate) fn sum<S: Simd>(&self, question: Question, contexts: &VoxelContexts<'_, S>) -> i32 {
+        let value = |worth: Worth| i32::from(worth.value[question as usize]);
+        let wide = contexts.wide_places().map(|place| i32::from(self.wide[place][question as usize]));
+        value(self.near[contexts.near()]) + value(self.ray[contexts.ray()]) + wide.into_iter().sum::<i32>()
+    }
+
+    /// What the contexts of a flag add up to.
+    #[inline(always)]
+    pub(crate) fn flag_sum(&self, flag: MixedFlag, places: [usize; FLAG_PLACES]) -> i32 {
+        places.into_iter().map(|place| i32::from(self.flags[flag as usize][place])).sum()
+    }
 }
 
 /// Sets of tables, in the order in which they are shipped.
@@ -137,10 +152,9 @@ impl TableSet {
 }
 
 /// Bytes of one set, as they are before zlib.
-pub(crate) const SET_BYTES: usize =
-    2 * (NEAR_CONTEXTS + RAY_CONTEXTS + VOXEL_PROBABILITIES + KIND_PROBABILITIES + FLAG_CONTEXTS)
-        + 2 * VOXEL_SUMS
-        + MIXED_FLAGS * FLAG_SUMS;
+pub(crate) const SET_BYTES: usize = 2
+    * (2 * (NEAR_CONTEXTS + RAY_CONTEXTS) + VOXEL_PROBABILITIES + KIND_PROBABILITIES + FLAG_CONTEXTS + WIDE_SUMS)
+    + MIXED_FLAGS * FLAG_SUMS;
 
 /// The tables that are shipped, one zlib stream of all sets in their order. Anything else would be another
 /// codec.
@@ -177,39 +191,45 @@ impl Tables {
                 .for_each(|(to, pair)| *to = Probability::from_le_bytes(*pair).max(1));
             probabilities
         }
-        let (mut voxel, mut kind) = (Levels::even(), Levels::even());
-        for levels in [&mut voxel.near[..], &mut kind.near, &mut voxel.ray, &mut kind.ray] {
-            let bytes = take(levels.len());
-            levels.iter_mut().zip(bytes).for_each(|(to, level)| *to = (*level).min(LEVELS as u8 - 1));
+        let mut tables = Self::even();
+        for question in 0..QUESTIONS {
+            for worths in [&mut tables.near[..], &mut tables.ray[..]] {
+                let levels = take(worths.len());
+                let set = |(to, level): (&mut Worth, &u8)| to.level[question] = (*level).min(LEVELS as u8 - 1);
+                worths.iter_mut().zip(levels).for_each(set);
+                let values = take(worths.len());
+                let set = |(to, value): (&mut Worth, &u8)| to.value[question] = value.cast_signed();
+                worths.iter_mut().zip(values).for_each(set);
+            }
+            let values = take(WIDE_SUMS);
+            tables.wide.iter_mut().zip(values).for_each(|(to, value)| to[question] = value.cast_signed());
         }
-        let start = Box::new(Probabilities {
+        for flags in tables.flags.iter_mut() {
+            flags.iter_mut().zip(take(FLAG_SUMS)).for_each(|(to, value)| *to = value.cast_signed());
+        }
+        *tables.start = Probabilities {
             voxel: probabilities(take(2 * VOXEL_PROBABILITIES)),
             kind: probabilities(take(2 * KIND_PROBABILITIES)),
             flag: probabilities(take(2 * FLAG_CONTEXTS)),
-        });
-        let mut sums = Sums::none();
-        let Sums { voxel: of_voxel, kind: of_kind, row } = &mut *sums;
-        for values in [&mut of_voxel[..], of_kind].into_iter().chain(row.iter_mut().map(|row| &mut row[..])) {
-            let bytes = take(values.len());
-            values.iter_mut().zip(bytes).for_each(|(to, value)| *to = value.cast_signed());
-        }
-        Self { voxel, kind, start, sums }
+        };
+        tables
     }
 
     /// The inverse of [`Self::from_bytes`].
     #[cfg(feature = "training")]
     pub(crate) fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(SET_BYTES);
-        for levels in [&self.voxel.near[..], &self.kind.near, &self.voxel.ray, &self.kind.ray] {
-            bytes.extend_from_slice(levels);
+        for question in 0..QUESTIONS {
+            for worths in [&self.near[..], &self.ray[..]] {
+                bytes.extend(worths.iter().map(|worth| worth.level[question]));
+                bytes.extend(worths.iter().map(|worth| worth.value[question].cast_unsigned()));
+            }
+            bytes.extend(self.wide.iter().map(|values| values[question].cast_unsigned()));
         }
+        bytes.extend(self.flags.iter().flatten().map(|value| value.cast_unsigned()));
         let Probabilities { voxel, kind, flag } = &*self.start;
         for probability in voxel.iter().chain(kind).chain(flag) {
             bytes.extend_from_slice(&probability.to_le_bytes());
-        }
-        let Sums { voxel, kind, row } = &*self.sums;
-        for values in [&voxel[..], kind].into_iter().chain(row.iter().map(|row| &row[..])) {
-            bytes.extend(values.iter().map(|value| value.cast_unsigned()));
         }
         bytes
     }

@@ -17,7 +17,7 @@ use super::model::Model;
 use super::order::{self, Changed, in_order};
 use super::orientation::Orientation;
 use super::tables::{
-    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES, Sums,
+    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, NEAR_CONTEXTS, Question, RAY_CONTEXTS, SET_BYTES,
     TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
 use super::voxel_contexts::VoxelContexts;
@@ -221,14 +221,15 @@ impl Counting {
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
         let ray_group = |context: usize| context & 255;
-        let (voxel, kind) = (Levels::even(), Levels::even());
-        let mut tables = Tables { voxel, kind, start: Box::default(), sums: Sums::none() };
-        for (to, near, ray, prior) in [
-            (&mut tables.voxel, &self.near, &self.ray, EVEN_ODDS),
-            (&mut tables.kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
+        let mut tables = Tables::even();
+        for (question, near, ray, prior) in [
+            (Question::Seen, &self.near, &self.ray, EVEN_ODDS),
+            (Question::Kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
         ] {
-            to.near.copy_from_slice(&levels(near, near_group, prior));
-            to.ray.copy_from_slice(&levels(ray, ray_group, prior));
+            let (near, ray) = (levels(near, near_group, prior), levels(ray, ray_group, prior));
+            for (to, level) in tables.near.iter_mut().zip(near).chain(tables.ray.iter_mut().zip(ray)) {
+                to.level[question as usize] = level;
+            }
         }
         tables
     }
@@ -298,7 +299,7 @@ impl Decide for Counting {
 impl DecideVoxel for Counting {
     fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         let (near, ray) = (contexts.near(), contexts.ray());
-        let level = self.tables.as_ref().map_or(0, |tables| tables.voxel.of(contexts));
+        let level = self.tables.as_ref().map_or(0, |tables| tables.level(Question::Seen, contexts));
         self.near[near][usize::from(truth)] += 1;
         self.ray[ray][usize::from(truth)] += 1;
         self.voxel_probability[voxel_probability(kind, level)][usize::from(truth)] += 1;
@@ -310,7 +311,7 @@ impl DecideVoxel for Counting {
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;
         if let Some(tables) = &self.tables {
-            self.kind_probability[usize::from(tables.kind.of(contexts))][usize::from(truth)] += 1;
+            self.kind_probability[usize::from(tables.level(Question::Kind, contexts))][usize::from(truth)] += 1;
         }
         truth
     }

@@ -9,21 +9,19 @@ use fearless_simd::{i8x16, i8x32, u64x2, u64x4};
 use super::cells::{Row, STATES, new, occupied};
 use super::neighbourhood::{Neighbourhood, ROW, SLICE};
 use super::rays::Rays;
-use super::tables::{NEAR_CONTEXTS, RAY_CONTEXTS};
+use super::tables::RAY_CONTEXTS;
 
-/// Contexts of a voxel that have a value in the sums.
-pub(crate) const VOXEL_PLACES: usize = 8;
+/// Contexts of a voxel beyond the nearest cells and the ray, each with a table.
+pub(crate) const WIDE_PLACES: usize = 6;
 
-// Where in the sums each table begins.
-const RAY: usize = NEAR_CONTEXTS;
-const CHANGED: usize = RAY + RAY_CONTEXTS;
-const OBSTACLES: usize = CHANGED + 4_096;
+// Where each of their tables begins.
+const OBSTACLES: usize = 4_096;
 const ASKEW: usize = OBSTACLES + 4_096;
 const DISTANT: usize = ASKEW + 4_096;
 const COUNTS: usize = DISTANT + 4_096;
 const SLOPES: usize = COUNTS + 2_048;
-/// Values of all tables of a voxel.
-pub(crate) const VOXEL_SUMS: usize = SLOPES + 16_384;
+/// Values of all of them.
+pub(crate) const WIDE_SUMS: usize = SLOPES + 16_384;
 
 /// Of a row, as it began.
 pub(crate) struct RowContexts<S: Simd> {
@@ -59,17 +57,15 @@ impl<S: Simd> VoxelContexts<'_, S> {
         (self.near_and_ray >> 16) as usize % RAY_CONTEXTS
     }
 
-    /// Where the values of the voxel are in the sums.
+    /// Where its values are in the tables of the others.
     #[inline(always)]
-    pub(crate) fn places(&self) -> [usize; VOXEL_PLACES] {
+    pub(crate) fn wide_places(&self) -> [usize; WIDE_PLACES] {
         let (low, high) = self.row.wide;
         let wide = u64::from(column_of_32(low, self.x)) | u64::from(column_of_16(high, self.x)) << 32;
         let twelve = |at: u32| (wide >> at) as usize & 4_095;
-        let (near, ray) = (self.near(), self.ray());
+        let near = self.near();
         [
-            near,
-            RAY + ray,
-            CHANGED + twelve(0),
+            twelve(0),
             OBSTACLES + twelve(12),
             ASKEW + twelve(24),
             DISTANT + twelve(36),
