@@ -54,7 +54,7 @@ impl Adding {
             for (to, from) in tables.near.iter_mut().zip(near).chain(tables.ray.iter_mut().zip(ray)) {
                 to.value[question] = shipped(from);
             }
-            tables.wide.iter_mut().zip(wide).for_each(|(to, from)| to[question] = shipped(from));
+            tables.wide[question].iter_mut().zip(wide).for_each(|(to, from)| *to = shipped(from));
         }
         for (to, from) in tables.flags.iter_mut().zip(&self.flags) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = shipped(from));

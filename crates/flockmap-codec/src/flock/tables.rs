@@ -80,7 +80,7 @@ pub(crate) struct Tables {
     pub(crate) near: Box<[Worth; NEAR_CONTEXTS]>,
     pub(crate) ray: Box<[Worth; RAY_CONTEXTS]>,
     /// What the other contexts of a voxel add to the log-odds of each [`Question`].
-    pub(crate) wide: Box<[[i8; QUESTIONS]; WIDE_SUMS]>,
+    pub(crate) wide: Box<[[i8; WIDE_SUMS]; QUESTIONS]>,
     /// What contexts add to the log-odds of flags, by [`MixedFlag`](super::flag_contexts::MixedFlag).
     pub(crate) flags: Box<[[i8; FLAG_SUMS]; MIXED_FLAGS]>,
     pub(crate) start: Box<Probabilities>,
@@ -92,7 +92,7 @@ impl Tables {
         Self {
             near: Box::new([Worth::EVEN; NEAR_CONTEXTS]),
             ray: Box::new([Worth::EVEN; RAY_CONTEXTS]),
-            wide: Box::new([[0; QUESTIONS]; WIDE_SUMS]),
+            wide: Box::new([[0; WIDE_SUMS]; QUESTIONS]),
             flags: Box::new([[0; FLAG_SUMS]; MIXED_FLAGS]),
             start: Box::default(),
         }
@@ -109,7 +109,7 @@ impl Tables {
     #[inline(always)]
     pub(crate) fn sum<S: Simd>(&self, question: Question, contexts: &VoxelContexts<'_, S>) -> i32 {
         let value = |worth: Worth| i32::from(worth.value[question as usize]);
-        let wide = contexts.wide_places().map(|place| i32::from(self.wide[place][question as usize]));
+        let wide = contexts.wide_places().map(|place| i32::from(self.wide[question as usize][place]));
         value(self.near[contexts.near()]) + value(self.ray[contexts.ray()]) + wide.into_iter().sum::<i32>()
     }
 
@@ -201,8 +201,8 @@ impl Tables {
                 let set = |(to, value): (&mut Worth, &u8)| to.value[question] = value.cast_signed();
                 worths.iter_mut().zip(values).for_each(set);
             }
-            let values = take(WIDE_SUMS);
-            tables.wide.iter_mut().zip(values).for_each(|(to, value)| to[question] = value.cast_signed());
+            let wide = tables.wide[question].iter_mut().zip(take(WIDE_SUMS));
+            wide.for_each(|(to, value)| *to = value.cast_signed());
         }
         for flags in tables.flags.iter_mut() {
             flags.iter_mut().zip(take(FLAG_SUMS)).for_each(|(to, value)| *to = value.cast_signed());
@@ -224,7 +224,7 @@ impl Tables {
                 bytes.extend(worths.iter().map(|worth| worth.level[question]));
                 bytes.extend(worths.iter().map(|worth| worth.value[question].cast_unsigned()));
             }
-            bytes.extend(self.wide.iter().map(|values| values[question].cast_unsigned()));
+            bytes.extend(self.wide[question].iter().map(|value| value.cast_unsigned()));
         }
         bytes.extend(self.flags.iter().flatten().map(|value| value.cast_unsigned()));
         let Probabilities { voxel, kind, flag } = &*self.start;
