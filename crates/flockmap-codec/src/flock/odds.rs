@@ -9,24 +9,24 @@ pub(crate) type Odds = i32;
 /// 11 bits: probabilities of one in two thousand.
 pub(crate) const ODDS_MAX: Odds = 11 * 256;
 
-/// The log-odds of a probability, by its eleven highest bits.
+/// The log-odds of a probability, by its ten highest bits.
 #[inline(always)]
 pub(crate) fn odds_of(probability: Probability) -> Odds {
-    Odds::from(ODDS[usize::from(probability >> 5)])
+    Odds::from(ODDS[usize::from(probability >> 6)])
 }
 
 /// The probability of log-odds; those beyond the limits count as the limits.
 #[inline(always)]
 pub(crate) fn probability_of(odds: Odds) -> Probability {
     let odds = odds.clamp(-ODDS_MAX, ODDS_MAX - 1);
-    PROBABILITIES[(odds + ODDS_MAX) as usize / 2 % PROBABILITIES.len()]
+    PROBABILITIES[(odds + ODDS_MAX) as usize / 4 % PROBABILITIES.len()]
 }
 
-static ODDS: [i16; 2_048] = {
-    let mut table = [0; 2_048];
+static ODDS: [i16; 1_024] = {
+    let mut table = [0; 1_024];
     let mut n = 0;
-    while n < 2_048 {
-        let set = 32 * n as u64 + 16;
+    while n < 1_024 {
+        let set = 64 * n as u64 + 32;
         // In 2⁻³² of a bit, to the nearest 256th.
         let odds = (log2(set) as i64 - log2(65_536 - set) as i64 + (1 << 23)) >> 24;
         table[n] = odds as i16;
@@ -36,7 +36,7 @@ static ODDS: [i16; 2_048] = {
 };
 
 /// By two steps of log-odds from the lowest on, each for the middle of its two.
-static PROBABILITIES: [Probability; ODDS_MAX as usize] = {
+static PROBABILITIES: [Probability; ODDS_MAX as usize / 2] = {
     // 2^(n / 256) in 2⁻³², each from the one before: 2^(1 / 256) in 2⁻⁶⁰.
     const STEP: u128 = 1_156_047_391_917_129_430;
     let mut powers = [0u64; 256];
@@ -46,10 +46,10 @@ static PROBABILITIES: [Probability; ODDS_MAX as usize] = {
         power = (power * STEP) >> 60;
         n += 1;
     }
-    let mut table = [0; ODDS_MAX as usize];
+    let mut table = [0; ODDS_MAX as usize / 2];
     let mut n = 0;
     while n < table.len() {
-        let odds = 2 * n as i64 + 1 - ODDS_MAX as i64;
+        let odds = 4 * n as i64 + 2 - ODDS_MAX as i64;
         // 2^odds in 2⁻⁴⁰, from 2⁻¹¹ to 2¹¹.
         let ratio = (powers[(odds & 255) as usize] as u128) << 20 >> (12 - (odds >> 8));
         let share = (ratio << 16) / (ratio + (1 << 40));
