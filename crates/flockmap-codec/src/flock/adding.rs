@@ -3,13 +3,16 @@
 
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
-use super::mixing::{self, ODDS_OF_SUM, TRUST};
+use super::mixing::{ODDS_OF_SUM, TRUST, is_sure};
 use super::odds::{odds_of, probability_of};
 use super::flag_contexts::{MIXED_FLAGS, FLAG_PLACES, FLAG_SUMS, MixedFlag};
 use super::tables::{NEAR_CONTEXTS, QUESTIONS, Question, RAY_CONTEXTS, Tables, voxel_probability};
 use super::voxel_contexts::{VoxelContexts, WIDE_SUMS};
 use fearless_simd::Simd;
 use flockmap_coder::Probability;
+
+/// Decisions that are surer teach nothing. Fewer than are left alone in coding: what comes of rare ones helps others.
+const SURE: Probability = 164;
 
 /// Fine steps in one step of a shipped value.
 const FINE: i32 = 1 << 16;
@@ -63,7 +66,7 @@ impl Adding {
     }
 
     fn learn_voxel<S: Simd>(&mut self, question: Question, probability: Probability, contexts: &VoxelContexts<'_, S>, truth: bool) {
-        if mixing::is_sure(probability) {
+        if is_sure(probability, SURE) {
             return;
         }
         let [a, b, c, d, e, f] = contexts.wide_places().map(|place| WIDE_AT + place);
@@ -104,7 +107,7 @@ impl Decide for Adding {
         truth: bool,
     ) -> bool {
         let probability = self.tables.start.flag[context];
-        if !mixing::is_sure(probability) {
+        if !is_sure(probability, SURE) {
             learn(&mut self.flags[flag as usize], places(), probability, truth, self.rate);
         }
         truth

@@ -120,7 +120,7 @@ impl Decide for Trial {
     ) -> bool {
         let places = places();
         self.pay(truth, |tables| {
-            mixing::at_start(tables.start.flag[context], || tables.flag_sum(flag, places))
+            at_start(tables, tables.start.flag[context], || tables.flag_sum(flag, places))
         });
         truth
     }
@@ -134,7 +134,7 @@ impl DecideVoxel for Trial {
     fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         self.pay(truth, |tables| {
             let level = voxel_probability(kind, tables.level(Question::Seen, contexts));
-            mixing::at_start(tables.start.voxel[level], || tables.sum(Question::Seen, contexts))
+            at_start(tables, tables.start.voxel[level], || tables.sum(Question::Seen, contexts))
         });
         truth
     }
@@ -142,10 +142,15 @@ impl DecideVoxel for Trial {
     fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         self.pay(truth, |tables| {
             let level = usize::from(tables.level(Question::Kind, contexts));
-            mixing::at_start(tables.start.kind[level], || tables.sum(Question::Kind, contexts))
+            at_start(tables, tables.start.kind[level], || tables.sum(Question::Kind, contexts))
         });
         truth
     }
+}
+
+/// What becomes of a probability that packages begin with.
+fn at_start(tables: &Tables, probability: Probability, sum: impl FnOnce() -> i32) -> Probability {
+    if tables.is_sure(probability) { probability } else { mixing::at_start(probability, sum()) }
 }
 
 /// What a bit of this probability (in 256ths) costs, in 256ths of a bit.

@@ -62,7 +62,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     ) -> bool {
         self.steps += work::DECISION_STEPS;
         let probability = &mut self.probabilities.flag[context];
-        if mixing::is_sure(*probability) {
+        if self.tables.is_sure(*probability) {
             return self.bits.code(probability, truth, FLAG_RATE);
         }
         let sum = self.tables.flag_sum(flag, places());
@@ -106,7 +106,7 @@ impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
     #[inline(always)]
     fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         let at = voxel_probability(kind, self.tables.level(Question::Seen, contexts));
-        if mixing::is_sure(self.voxel[at]) {
+        if self.tables.is_sure(self.voxel[at]) {
             return self.bits.code(&mut self.voxel[at], truth, VOXEL_RATE);
         }
         let sum = self.tables.sum(Question::Seen, contexts);
@@ -117,7 +117,7 @@ impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
     #[inline(always)]
     fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
         let at = usize::from(self.tables.level(Question::Kind, contexts));
-        if mixing::is_sure(self.kind[at]) {
+        if self.tables.is_sure(self.kind[at]) {
             return self.bits.code(&mut self.kind[at], truth, KIND_RATE);
         }
         let sum = self.tables.sum(Question::Kind, contexts);

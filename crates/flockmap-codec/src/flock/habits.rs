@@ -37,8 +37,8 @@ impl Habits {
             self.sets = vec![set];
             self.rate = match set {
                 TableSet::Dense => 140,
-                TableSet::Sparse => 380,
-                TableSet::Obstacles => 900,
+                TableSet::Sparse => 300,
+                TableSet::Obstacles => 750,
             };
         }
         Ok(set)

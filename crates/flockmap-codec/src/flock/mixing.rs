@@ -4,14 +4,11 @@
 use super::odds::{Odds, odds_of, probability_of};
 use flockmap_coder::{CodeBit, Probability};
 
-/// An adaptive probability that is lower, or as near to one, is left alone: it is right nearly always, and
-/// most are such.
-const SURE: Probability = 656;
-
-/// Whether an adaptive probability is so sure that nothing else is asked.
+/// Whether an adaptive probability is below `sure`, or as near to one: it is right nearly always, most are such, and
+/// nothing else is asked.
 #[inline(always)]
-pub(crate) fn is_sure(probability: Probability) -> bool {
-    probability.wrapping_sub(SURE) > 0u16.wrapping_sub(2 * SURE)
+pub(crate) fn is_sure(probability: Probability, sure: Probability) -> bool {
+    probability.wrapping_sub(sure) > 0u16.wrapping_sub(2 * sure)
 }
 
 /// Sums of trained tables are in sixteenths of a bit.
@@ -49,8 +46,8 @@ impl Weights {
 
 /// A probability that packages begin with, mixed with a sum as they begin.
 #[inline(always)]
-pub(crate) fn at_start(probability: Probability, sum: impl FnOnce() -> i32) -> Probability {
-    if is_sure(probability) { probability } else { START.mixed(odds_of(probability), sum() * ODDS_OF_SUM) }
+pub(crate) fn at_start(probability: Probability, sum: i32) -> Probability {
+    START.mixed(odds_of(probability), sum * ODDS_OF_SUM)
 }
 
 /// What some decisions say of their weights, which do not change meanwhile: so the next decision need not wait
@@ -91,9 +88,9 @@ mod tests {
 
     #[test]
     fn sure_is_below_and_above() {
-        for probability in 1..=u16::MAX {
-            let expected = probability < SURE || probability > u16::MAX - SURE + 1;
-            assert_eq!(is_sure(probability), expected, "{probability}");
+        for (probability, sure) in (1..=u16::MAX).flat_map(|probability| [1, 300, 2_000].map(|sure| (probability, sure))) {
+            let expected = probability < sure || probability > u16::MAX - sure + 1;
+            assert_eq!(is_sure(probability, sure), expected, "{probability}");
         }
     }
 

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 
 use super::decide::RowKind;
 use super::flag_contexts::{FLAG_PLACES, FLAG_SUMS, MIXED_FLAGS, MixedFlag};
+use super::mixing;
 use super::voxel_contexts::{VoxelContexts, WIDE_SUMS};
 use crate::deflate::inflate_exact;
 use fearless_simd::Simd;
@@ -84,18 +85,26 @@ pub(crate) struct Tables {
     /// What contexts add to the log-odds of flags, by [`MixedFlag`](super::flag_contexts::MixedFlag).
     pub(crate) flags: Box<[[i8; FLAG_SUMS]; MIXED_FLAGS]>,
     pub(crate) start: Box<Probabilities>,
+    sure: Probability,
 }
 
 impl Tables {
     /// All are even, and add nothing.
-    pub(crate) fn even() -> Self {
+    pub(crate) fn even(set: TableSet) -> Self {
         Self {
+            sure: set.sure(),
             near: Box::new([Worth::EVEN; NEAR_CONTEXTS]),
             ray: Box::new([Worth::EVEN; RAY_CONTEXTS]),
             wide: Box::new([[0; WIDE_SUMS]; QUESTIONS]),
             flags: Box::new([[0; FLAG_SUMS]; MIXED_FLAGS]),
             start: Box::default(),
         }
+    }
+
+    /// Whether an adaptive probability is so sure that sums are not asked.
+    #[inline(always)]
+    pub(crate) fn is_sure(&self, probability: Probability) -> bool {
+        mixing::is_sure(probability, self.sure)
     }
 
     /// The levels of the nearest cells and of the ray as one number, below `LEVELS`².
@@ -143,6 +152,16 @@ impl TableSet {
         self as u8
     }
 
+    /// Probabilities below this one are left alone, see `mixing.rs`: the less, the more bytes are saved, and the more time
+    /// it takes.
+    pub(crate) const fn sure(self) -> Probability {
+        match self {
+            Self::Dense => 1_311,
+            Self::Sparse => 656,
+            Self::Obstacles => 328,
+        }
+    }
+
     /// The tables that are shipped.
     pub(crate) fn tables(self) -> &'static Tables {
         static SHIPPED: OnceLock<Vec<Tables>> = OnceLock::new();
@@ -164,7 +183,7 @@ fn shipped(file: &[u8]) -> Vec<Tables> {
     let mut bytes = vec![0; SET_BYTES * TableSet::ALL.len()];
     // A file that does not fit is a fault of the build, and the tests of this file find it.
     inflate_exact(file, &mut bytes).expect("the shipped tables are whole");
-    bytes.chunks_exact(SET_BYTES).map(Tables::from_bytes).collect()
+    TableSet::ALL.into_iter().zip(bytes.chunks_exact(SET_BYTES)).map(|(set, bytes)| Tables::from_bytes(set, bytes)).collect()
 }
 
 /// Which probability an unknown voxel of a certain level has.
@@ -175,7 +194,7 @@ pub(crate) fn voxel_probability(kind: RowKind, level: u16) -> usize {
 
 impl Tables {
     /// A set from its [`SET_BYTES`] bytes. What is out of range is brought into range.
-    pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
+    pub(crate) fn from_bytes(set: TableSet, bytes: &[u8]) -> Self {
         let mut rest = bytes;
         let mut take = |count: usize| {
             let (head, tail) = rest.split_at(count.min(rest.len()));
@@ -191,7 +210,7 @@ impl Tables {
                 .for_each(|(to, pair)| *to = Probability::from_le_bytes(*pair).max(1));
             probabilities
         }
-        let mut tables = Self::even();
+        let mut tables = Self::even(set);
         for question in 0..QUESTIONS {
             for worths in [&mut tables.near[..], &mut tables.ray[..]] {
                 let levels = take(worths.len());

@@ -79,6 +79,7 @@ type Counts = [u64; 2];
 
 /// Trains one set of tables.
 pub struct Trainer {
+    set: TableSet,
     learning: Learning,
     model: Model,
     coded: Vec<u8>,
@@ -92,19 +93,17 @@ enum Learning {
     Adding(Box<Adding>, usize),
 }
 
-impl Default for Trainer {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 /// Rounds that training takes.
 pub const ROUNDS: usize = 2 + RATES.len();
 
 impl Trainer {
-    /// Before the first round.
-    pub fn new() -> Self {
-        Self { learning: Learning::Counting(Box::new(Counting::new(None))), model: Model::default(), coded: Vec::new() }
+    /// Of the set with this number among [`SETS`], before the first round.
+    ///
+    /// # Panics
+    /// If there is no such set.
+    pub fn new(set: usize) -> Self {
+        let set = TableSet::ALL[set];
+        Self { set, learning: Learning::Counting(Box::new(Counting::new(None))), model: Model::default(), coded: Vec::new() }
     }
 
     /// Learns from a batch; `layer` is what was known before it. Each round has to be given the same batches.
@@ -121,7 +120,7 @@ impl Trainer {
             });
             let (package, after) = rest.split_at(full.map_or(rest.len(), |last| last + 1));
             rest = after;
-            let Self { learning, model, coded } = self;
+            let Self { learning, model, coded, .. } = self;
             match learning {
                 Learning::Counting(counting) => Self::package(&mut **counting, model, coded, &known, sensor, package),
                 Learning::Adding(adding, _) => Self::package(&mut **adding, model, coded, &known, sensor, package),
@@ -159,7 +158,7 @@ impl Trainer {
     pub fn end_round(&mut self) {
         self.learning = match &mut self.learning {
             Learning::Counting(counting) => match &counting.tables {
-                None => Learning::Counting(Box::new(Counting::new(Some(counting.with_levels())))),
+                None => Learning::Counting(Box::new(Counting::new(Some(counting.with_levels(self.set))))),
                 Some(tables) => {
                     let mut adding = Adding::new(counting.with_probabilities(tables.clone()));
                     adding.begin(RATES[0]);
@@ -210,7 +209,7 @@ impl Counting {
     }
 
     /// What contexts are worth. Contexts that were rarely met lean on groups of similar ones.
-    fn with_levels(&self) -> Tables {
+    fn with_levels(&self, set: TableSet) -> Tables {
         let near_group = |context: usize| {
             // The two bits of a state stand two apart: those of two voxels in each four bits.
             let state = |cell: usize| {
@@ -221,7 +220,7 @@ impl Counting {
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
         let ray_group = |context: usize| context & 255;
-        let mut tables = Tables::even();
+        let mut tables = Tables::even(set);
         for (question, near, ray, prior) in [
             (Question::Seen, &self.near, &self.ray, EVEN_ODDS),
             (Question::Kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
