@@ -220,7 +220,8 @@ impl Header {
             let end = if duration & 1 == 0 { Some(end) } else { end.checked_mul(HUNDREDTH) };
             // There is one form of each.
             let end = end.filter(|end| (end % HUNDREDTH == 0) == (duration & 1 == 1));
-            let end = end.ok_or_else(|| wrong("a batch that ends at a whole hundredth of a second says so"))?;
+            let end =
+                end.ok_or_else(|| wrong("a batch that ends at a whole hundredth of a second says so"))?;
             (end, (duration >> 1).checked_mul(HUNDREDTH as u64))
         };
         let batch_end = Stamp(end.wrapping_add(epoch_micros(epoch)));
@@ -362,7 +363,10 @@ fn is_in_blocks(region: &VoxelBox) -> bool {
     let min = region.min();
     let corner = [min.x, min.y, min.z];
     corner.iter().all(|corner| corner.rem_euclid(BLOCK_SIDE as i32) == 0)
-        && region.size().iter().all(|size| size.is_multiple_of(BLOCK_SIDE) && size / BLOCK_SIDE - 1 <= THREE_MAX)
+        && region
+            .size()
+            .iter()
+            .all(|size| size.is_multiple_of(BLOCK_SIDE) && size / BLOCK_SIDE - 1 <= THREE_MAX)
 }
 
 /// Corner and size in `unit`s of voxels along each axis, of which the box is made.
@@ -386,7 +390,8 @@ fn read_box(reader: &mut Fields<'_>, unit: u32) -> Result<VoxelBox, PackageError
     }
     let mut size = [0u32; 3];
     if unit == BLOCK_SIDE {
-        size = of_three(reader.number("box size", (1 << 63) - 1)?).map(|less_one| (less_one + 1) * BLOCK_SIDE);
+        size =
+            of_three(reader.number("box size", (1 << 63) - 1)?).map(|less_one| (less_one + 1) * BLOCK_SIDE);
     } else {
         for size in &mut size {
             *size = reader.number("box size", u64::from(u32::MAX) - 1)? as u32 + 1;

@@ -146,10 +146,10 @@ fn packages_of_former_versions_are_refused_with_a_word_about_the_version() {
     let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden"));
     let mut refused = 0;
     for Golden { name, .. } in golden() {
-        let bytes = std::fs::read(folder.join(format!("v3-{name}.bin"))).unwrap();
+        let bytes = std::fs::read(folder.join(format!("v4-{name}.bin"))).unwrap();
         let error = Package::parse(&bytes).unwrap_err();
-        assert_eq!(error, PackageError::Version { found: 3 }, "{name}");
-        assert_eq!(error.to_string(), "package format version 3, this program reads version 4");
+        assert_eq!(error, PackageError::Version { found: 4 }, "{name}");
+        assert_eq!(error.to_string(), "package format version 4, this program reads version 5");
         refused += 1;
     }
     assert!(refused > 10);

@@ -16,6 +16,16 @@ pub enum Scans {
     Sparse,
 }
 
+impl Scans {
+    /// Its set, as in [`flockmap_codec::training::SETS`].
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Dense => "dense",
+            Self::Sparse => "sparse",
+        }
+    }
+}
+
 /// The voxels of a map and how far its mapper looks.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct MapSize {
@@ -95,6 +105,12 @@ pub const SCENES: &[Scene] = &[
     Scene { place: Place::Indoor, lidar: Lidar::Avia, ..DENSE },
     Scene { place: Place::Indoor, seed: 8, ..DENSE },
     Scene { place: Place::Indoor, seed: 8, lidar: Lidar::Avia, ..DENSE },
+    Scene { seed: 12, ..DENSE },
+    Scene { seed: 13, lidar: Lidar::Avia, ..DENSE },
+    Scene { place: Place::Indoor, seed: 12, ..DENSE },
+    Scene { place: Place::Indoor, seed: 13, lidar: Lidar::Avia, ..DENSE },
+    Scene { seed: 14, sizes: &[COARSE_OUTDOOR, FINE_OUTDOOR], ..SPARSE },
+    Scene { seed: 15, lidar: Lidar::Os128, drop_out: 0.4, every: 20, sizes: &[CAR], ..SPARSE },
 ];
 
 impl core::fmt::Display for Scene {

@@ -3,9 +3,9 @@
 
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::flag_contexts::{FLAG_PLACES, FLAG_SUMS, MIXED_FLAGS, MixedFlag};
 use super::mixing::{ODDS_OF_SUM, TRUST, is_sure};
 use super::odds::{odds_of, probability_of};
-use super::flag_contexts::{MIXED_FLAGS, FLAG_PLACES, FLAG_SUMS, MixedFlag};
 use super::tables::{NEAR_CONTEXTS, QUESTIONS, Question, RAY_CONTEXTS, Tables, voxel_probability};
 use super::voxel_contexts::{VoxelContexts, WIDE_SUMS};
 use fearless_simd::Simd;
@@ -65,7 +65,13 @@ impl Adding {
         tables
     }
 
-    fn learn_voxel<S: Simd>(&mut self, question: Question, probability: Probability, contexts: &VoxelContexts<'_, S>, truth: bool) {
+    fn learn_voxel<S: Simd>(
+        &mut self,
+        question: Question,
+        probability: Probability,
+        contexts: &VoxelContexts<'_, S>,
+        truth: bool,
+    ) {
         if is_sure(probability, SURE) {
             return;
         }

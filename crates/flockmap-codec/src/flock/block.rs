@@ -9,11 +9,11 @@ use fearless_simd::Simd;
 
 use super::cells::{Bits, Row, STATES, free, new, occupied, unknown};
 use super::decide::{Decide, RowKind, UnknownRow};
+use super::flag_contexts::{self, MixedFlag, Slice};
 use super::known::KnownClasses;
 use super::neighbourhood::{Neighbourhood, ROW, SLICE, middle};
 use super::orientation::{Distance, TurnedChanges};
 use super::rays::Rays;
-use super::flag_contexts::{self, MixedFlag, Slice};
 use super::voxel_contexts::RowContexts;
 
 // Contexts of flags. The first 2,268 are for the flag of a block, see `flags.rs`.
@@ -124,10 +124,12 @@ impl<S: Simd, D: Decide> Block<'_, S, D> {
         };
         let class = class * 3 + usize::from(unknown_rows > 2) + usize::from(unknown_rows > 5);
         let changed = (0..z).filter(|z| (self.coded.free[*z] | self.coded.occupied[*z]) != 0).count();
-        let slice = Slice { rows: [own, over, under], unknown_rows, z, changed, distance: self.rays.distance[2] };
+        let slice =
+            Slice { rows: [own, over, under], unknown_rows, z, changed, distance: self.rays.distance[2] };
         let has_changes = (truth.free[z] | truth.occupied[z]) != 0;
         let places = || slice.places(class);
-        self.is_expected = self.decide.mixed_flag(MixedFlag::ColdSlice, COLD_SLICE + class, places, has_changes);
+        self.is_expected =
+            self.decide.mixed_flag(MixedFlag::ColdSlice, COLD_SLICE + class, places, has_changes);
         !self.is_expected
     }
 

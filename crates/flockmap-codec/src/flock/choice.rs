@@ -6,16 +6,16 @@ use flockmap_grid::BaseSuperseded;
 use super::block_box::BlockBox;
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::flag_contexts::{FLAG_PLACES, MixedFlag};
 use super::known::Known;
 use super::log2::log2;
+use super::mixing;
 use super::model::Model;
 use super::order::Changed;
 use super::orientation::Orientation;
+use super::tables::{Question, TableSet, Tables, voxel_probability};
 use super::voxel_contexts::VoxelContexts;
 use fearless_simd::Simd;
-use super::flag_contexts::{FLAG_PLACES, MixedFlag};
-use super::mixing;
-use super::tables::{Question, TableSet, Tables, voxel_probability};
 use flockmap_coder::Probability;
 
 /// Blocks that are looked at: so many from the front and so many from the middle, at most one in
@@ -82,7 +82,8 @@ impl Trial {
         // What is behind the blocks of a sample is not coded, and without that dense scans look likelier than they
         // are.
         let handicap = |cost, set| if set == TableSet::Dense { cost + cost / DENSE_PART } else { cost };
-        let mut costs: Vec<_> = self.sets.iter().map(|(cost, set, _)| (handicap(*cost, *set), *set)).collect();
+        let mut costs: Vec<_> =
+            self.sets.iter().map(|(cost, set, _)| (handicap(*cost, *set), *set)).collect();
         costs.sort_by_key(|(cost, _)| *cost);
         match costs[..] {
             [(_, only)] => (only, u64::MAX),

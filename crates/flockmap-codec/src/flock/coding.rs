@@ -2,14 +2,14 @@
 
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::flag_contexts::{FLAG_PLACES, MIXED_FLAGS, MixedFlag};
 use super::mixing::{self, Lesson, START, Weights};
-use super::flag_contexts::{MIXED_FLAGS, FLAG_PLACES, MixedFlag};
 use super::tables::{
     KIND_PROBABILITIES, Probabilities, Question, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
 use super::voxel_contexts::VoxelContexts;
-use fearless_simd::Simd;
 use crate::work;
+use fearless_simd::Simd;
 use flockmap_coder::{CodeBit, Probability};
 
 /// How fast a probability follows what happens: a step of one in 2ⁿ.

@@ -132,7 +132,8 @@ impl Field {
         for axes in 0..8 {
             let (place, number) = (along(of_place, axes), along(of_number, axes));
             let slot = |place: usize| self.slots.get(place).copied().unwrap_or(NOTHING);
-            let (beyond, before) = (slot(own.wrapping_add_signed(place)), slot(own.wrapping_add_signed(-place)));
+            let (beyond, before) =
+                (slot(own.wrapping_add_signed(place)), slot(own.wrapping_add_signed(-place)));
             slots[OWN.wrapping_add_signed(number) % 27] = beyond;
             slots[OWN.wrapping_add_signed(-number) % 27] = before;
             asked |= u32::from(beyond == NOT_ASKED) << axes | u32::from(before == NOT_ASKED) << (axes + 8);

@@ -93,9 +93,19 @@ impl Slice {
         let class = class & 63;
         [
             class | self.z << 6 | self.changed.min(3) << 9 | occupied[0].min(3) << 11,
-            KNOWN + (known[0] | known[1] << 2 | known[2] << 4 | self.unknown_rows.min(15) << 6 | occupied[1].min(3) << 10),
+            KNOWN
+                + (known[0]
+                    | known[1] << 2
+                    | known[2] << 4
+                    | self.unknown_rows.min(15) << 6
+                    | occupied[1].min(3) << 10),
             OCCUPIED + (occupied[0] | occupied[1] << 4 | occupied[2] << 8),
-            PLACE + (blocks | self.z << 4 | self.changed.min(3) << 7 | (self.unknown_rows / 3).min(3) << 9 | usize::from(occupied[0] > 0) << 11),
+            PLACE
+                + (blocks
+                    | self.z << 4
+                    | self.changed.min(3) << 7
+                    | (self.unknown_rows / 3).min(3) << 9
+                    | usize::from(occupied[0] > 0) << 11),
         ]
     }
 }

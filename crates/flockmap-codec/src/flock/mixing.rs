@@ -88,7 +88,9 @@ mod tests {
 
     #[test]
     fn sure_is_below_and_above() {
-        for (probability, sure) in (1..=u16::MAX).flat_map(|probability| [1, 300, 2_000].map(|sure| (probability, sure))) {
+        for (probability, sure) in
+            (1..=u16::MAX).flat_map(|probability| [1, 300, 2_000].map(|sure| (probability, sure)))
+        {
             let expected = probability < sure || probability > u16::MAX - sure + 1;
             assert_eq!(is_sure(probability, sure), expected, "{probability}");
         }

@@ -42,27 +42,3 @@ fn swapped<const PART: usize>(mut plane: Plane, masks: [u64; 3]) -> Plane {
     }
     plane
 }
-
-/// Swaps the bits of the bytes of each word with its bytes, step by step for all, so that vector instructions
-/// do.
-#[inline(always)]
-pub(crate) fn swapped_in_words<const N: usize>(mut words: [u64; N]) -> [u64; N] {
-    for (shift, mask) in [(7, 0x00aa_00aa_00aa_00aa), (14, 0x0000_cccc_0000_cccc), (28, 0x0000_0000_f0f0_f0f0)] {
-        for word in &mut words {
-            let differ = (*word ^ *word >> shift) & mask;
-            *word ^= differ ^ differ << shift;
-        }
-    }
-    words
-}
-
-/// Swaps the bits of the bytes of a word with its bytes.
-#[inline]
-pub(crate) const fn swapped_in_word(word: u64) -> u64 {
-    let differ = (word ^ word >> 7) & 0x00aa_00aa_00aa_00aa;
-    let word = word ^ differ ^ differ << 7;
-    let differ = (word ^ word >> 14) & 0x0000_cccc_0000_cccc;
-    let word = word ^ differ ^ differ << 14;
-    let differ = (word ^ word >> 28) & 0x0000_0000_f0f0_f0f0;
-    word ^ differ ^ differ << 28
-}

@@ -172,7 +172,11 @@ impl TableSet {
 
 /// Bytes of one set, as they are before zlib.
 pub(crate) const SET_BYTES: usize = 2
-    * (2 * (NEAR_CONTEXTS + RAY_CONTEXTS) + VOXEL_PROBABILITIES + KIND_PROBABILITIES + FLAG_CONTEXTS + WIDE_SUMS)
+    * (2 * (NEAR_CONTEXTS + RAY_CONTEXTS)
+        + VOXEL_PROBABILITIES
+        + KIND_PROBABILITIES
+        + FLAG_CONTEXTS
+        + WIDE_SUMS)
     + MIXED_FLAGS * FLAG_SUMS;
 
 /// The tables that are shipped, one zlib stream of all sets in their order. Anything else would be another
@@ -183,7 +187,11 @@ fn shipped(file: &[u8]) -> Vec<Tables> {
     let mut bytes = vec![0; SET_BYTES * TableSet::ALL.len()];
     // A file that does not fit is a fault of the build, and the tests of this file find it.
     inflate_exact(file, &mut bytes).expect("the shipped tables are whole");
-    TableSet::ALL.into_iter().zip(bytes.chunks_exact(SET_BYTES)).map(|(set, bytes)| Tables::from_bytes(set, bytes)).collect()
+    TableSet::ALL
+        .into_iter()
+        .zip(bytes.chunks_exact(SET_BYTES))
+        .map(|(set, bytes)| Tables::from_bytes(set, bytes))
+        .collect()
 }
 
 /// Which probability an unknown voxel of a certain level has.
@@ -214,7 +222,8 @@ impl Tables {
         for question in 0..QUESTIONS {
             for worths in [&mut tables.near[..], &mut tables.ray[..]] {
                 let levels = take(worths.len());
-                let set = |(to, level): (&mut Worth, &u8)| to.level[question] = (*level).min(LEVELS as u8 - 1);
+                let set =
+                    |(to, level): (&mut Worth, &u8)| to.level[question] = (*level).min(LEVELS as u8 - 1);
                 worths.iter_mut().zip(levels).for_each(set);
                 let values = take(worths.len());
                 let set = |(to, value): (&mut Worth, &u8)| to.value[question] = value.cast_signed();

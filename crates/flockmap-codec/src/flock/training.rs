@@ -21,9 +21,9 @@ use super::tables::{
     TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
 use super::voxel_contexts::VoxelContexts;
-use fearless_simd::Simd;
 use crate::deflate::{Deflater, inflate_exact};
 use crate::source::Batch;
+use fearless_simd::Simd;
 use flockmap_coder::Probability;
 
 /// Changed voxels in a package of usual size. The voxels at its rim have less beside them.
@@ -103,7 +103,12 @@ impl Trainer {
     /// If there is no such set.
     pub fn new(set: usize) -> Self {
         let set = TableSet::ALL[set];
-        Self { set, learning: Learning::Counting(Box::new(Counting::new(None))), model: Model::default(), coded: Vec::new() }
+        Self {
+            set,
+            learning: Learning::Counting(Box::new(Counting::new(None))),
+            model: Model::default(),
+            coded: Vec::new(),
+        }
     }
 
     /// Learns from a batch; `layer` is what was known before it. Each round has to be given the same batches.
@@ -122,13 +127,24 @@ impl Trainer {
             rest = after;
             let Self { learning, model, coded, .. } = self;
             match learning {
-                Learning::Counting(counting) => Self::package(&mut **counting, model, coded, &known, sensor, package),
-                Learning::Adding(adding, _) => Self::package(&mut **adding, model, coded, &known, sensor, package),
+                Learning::Counting(counting) => {
+                    Self::package(&mut **counting, model, coded, &known, sensor, package)
+                }
+                Learning::Adding(adding, _) => {
+                    Self::package(&mut **adding, model, coded, &known, sensor, package)
+                }
             }
         }
     }
 
-    fn package<D: Decide>(decide: &mut D, model: &mut Model, coded: &mut Vec<u8>, known: &Known<'_>, sensor: [i32; 3], blocks: &[Changed<'_>]) {
+    fn package<D: Decide>(
+        decide: &mut D,
+        model: &mut Model,
+        coded: &mut Vec<u8>,
+        known: &Known<'_>,
+        sensor: [i32; 3],
+        blocks: &[Changed<'_>],
+    ) {
         let Some((first, _)) = blocks.first() else { return };
         let all = blocks.iter().map(|(index, _)| BlockBox::of(*index));
         let region = all.fold(BlockBox::of(*first), BlockBox::union);
@@ -146,9 +162,7 @@ impl Trainer {
             let Ok(classes) = model.field.classes(known, index) else { return };
             decide.flag(flags.context(index, view.0, classes), changes.is_some());
             flags.note(index, changes.is_some());
-            if changes.is_some()
-                && model.code(decide, known, index, view, classes, changes).is_err()
-            {
+            if changes.is_some() && model.code(decide, known, index, view, classes, changes).is_err() {
                 return;
             }
         }
@@ -176,7 +190,9 @@ impl Trainer {
     /// The tables as bytes, as they stand after the rounds so far.
     pub fn tables(&self) -> Vec<u8> {
         match &self.learning {
-            Learning::Counting(counting) => counting.tables.as_ref().map(Tables::to_bytes).unwrap_or_default(),
+            Learning::Counting(counting) => {
+                counting.tables.as_ref().map(Tables::to_bytes).unwrap_or_default()
+            }
             Learning::Adding(adding, _) => adding.tables().to_bytes(),
         }
     }
@@ -310,7 +326,8 @@ impl DecideVoxel for Counting {
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;
         if let Some(tables) = &self.tables {
-            self.kind_probability[usize::from(tables.level(Question::Kind, contexts))][usize::from(truth)] += 1;
+            self.kind_probability[usize::from(tables.level(Question::Kind, contexts))][usize::from(truth)] +=
+                1;
         }
         truth
     }

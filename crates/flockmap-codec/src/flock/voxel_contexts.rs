@@ -159,14 +159,20 @@ impl<S: Simd> RowContexts<S> {
 
 /// The nearest cells, those of the row itself not among them, and the cells along the ray.
 #[inline(always)]
-fn near_and_ray<const BY_ROWS: bool>(cells: &Neighbourhood, at: usize, slope_x: usize, slope_y: usize) -> [u64; 4] {
+fn near_and_ray<const BY_ROWS: bool>(
+    cells: &Neighbourhood,
+    at: usize,
+    slope_x: usize,
+    slope_y: usize,
+) -> [u64; 4] {
     // Rows and voxels back along the axis on which the sensor is farther away, and along the other.
     let (b, c) = if BY_ROWS { ((ROW, 0), (0, 1)) } else { ((0, 1), (ROW, 0)) };
     let behind = |rows: usize, x: isize| cells.shifted(at.wrapping_sub(rows), -x) & STATES;
     let before = |rows: usize, x: isize| cells.shifted(at + rows, x);
     // Where the ray through a voxel was some slices before, or will be some after.
     let along = |slope: usize, slices: usize| (slices * slope + 8) >> 4;
-    let ray = |slices: usize| (slices * SLICE + along(slope_y, slices) * ROW, along(slope_x, slices) as isize);
+    let ray =
+        |slices: usize| (slices * SLICE + along(slope_y, slices) * ROW, along(slope_x, slices) as isize);
     let [ray_1, ray_2, ray_3] = [ray(1), ray(2), ray(3)];
     let is_known = |row: Row| (row | row >> 16) & 0xff;
     let pair = |one: Row, other: Row| one | other << 8;

@@ -4,7 +4,11 @@ use super::*;
 use proptest::prelude::*;
 
 fn header() -> impl Strategy<Value = Header> {
-    let stamp = prop_oneof![any::<i64>(), 0..1_800_000_000_000_000i64];
+    let stamp = prop_oneof![
+        any::<i64>(),
+        0..1_800_000_000_000_000i64,
+        (0..180_000_000_000i64).prop_map(|hundredths| hundredths * HUNDREDTH),
+    ];
     let numbers = (any::<u16>(), any::<u64>(), 1..=u32::MAX, any::<u32>(), 1_000..=100_000_000u32);
     let side = prop_oneof![1..200u32, Just(1 << 28)];
     let corner = -(1 << 28)..=1i32;
@@ -38,17 +42,19 @@ fn header() -> impl Strategy<Value = Header> {
                 *since %= index;
             }
             let priority = if content == ContentKind::Changes { priority } else { 0 };
+            let (start, end) = (Stamp(stamps[0].min(stamps[1])), Stamp(stamps[0].max(stamps[1])));
             Header {
                 priority: Priority::ALL[priority],
                 stream: Stream { origin: RobotId(origin), epoch },
                 index,
-                batch_start: Stamp(stamps[0].min(stamps[1])),
-                batch_end: Stamp(stamps[0].max(stamps[1])),
+                batch_start: if content == ContentKind::Changes { rounded_start(start, end) } else { start },
+                batch_end: end,
                 base: if content == ContentKind::Changes { base % index } else { 0 },
                 is_independent: content != ContentKind::Changes || base % index == 0 || epoch % 2 == 0,
-                // One of three in whole millimetres.
+                // Whole millimetres, whole centimetres, or neither.
                 resolution: Resolution::from_micrometres(match resolution % 3 {
                     0 => resolution / 1_000 * 1_000,
+                    1 => (resolution / 10_000).max(1) * 10_000,
                     _ => resolution,
                 })
                 .unwrap(),
@@ -136,22 +142,22 @@ fn a_usual_header_takes_few_bytes() {
 #[test]
 fn numbers_out_of_range_are_refused() {
     let refused = |edit: &dyn Fn(&mut Vec<u8>)| {
-        // Version, kind and codec, origin, epoch, index 5, batch end, duration, resolution 0.1 m, box,
-        // base.
-        let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
+        // Version, kind and codec, origin, epoch, index 5, duration, batch end, resolution 0.1 m, box, base.
+        let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 1, 0, 40, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
         assert!(Header::read(&bytes).is_ok());
         edit(&mut bytes);
         Header::read(&bytes).unwrap_err().to_string()
     };
     assert_eq!(refused(&|b| b[4] = 0), "package header: indices begin at 1");
     // One block, counted as 8 × 8 × 8 voxels.
-    let blocks = refused(&|b| b[12..15].copy_from_slice(&[7; 3]));
+    let blocks = refused(&|b| b[11..14].copy_from_slice(&[7; 3]));
     assert_eq!(blocks, "package header: a box of whole blocks is counted in blocks");
-    assert_eq!(refused(&|b| b[15] = 5), "package header: a base is an earlier package");
+    let end = "package header: a batch that ends at a whole hundredth of a second says so";
+    assert_eq!(refused(&|b| b[5] = 0), end);
+    assert_eq!(refused(&|b| b[14] = 5), "package header: a base is an earlier package");
     assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
     let snapshot = |later: u8, end: &[u8]| {
-        let mut bytes =
-            vec![FORMAT_VERSION, 2 | KIND_SNAPSHOT << KIND_SHIFT | later << 5, 1, 0, 5, 0, 0, 0xc8, 1];
+        let mut bytes = vec![FORMAT_VERSION, 2 | KIND_SNAPSHOT << KIND_SHIFT | later << 5, 1, 0, 5, 0, 0, 40];
         bytes.extend(
             [0; 6].into_iter().chain([0, 9, 9, 9, 9, 0, 1]).chain(end.iter().copied()).chain([1, 2, 3, 4]),
         );
