@@ -161,6 +161,19 @@ mod tests {
         }
 
         #[test]
+        fn three_numbers_come_back_and_take_no_more_than_the_largest_asks_for(
+            numbers in prop::array::uniform3(0..=THREE_MAX),
+            shift in 0..21u32,
+        ) {
+            let numbers = numbers.map(|number| number >> shift);
+            let mut out = Vec::new();
+            put_three(&mut out, numbers);
+            prop_assert_eq!(Reader::new(&out).varint().map(of_three), Some(numbers));
+            let bits = numbers.map(|number| 32 - number.leading_zeros()).into_iter().max().unwrap_or(0);
+            prop_assert!(out.len() <= (3 * bits as usize).div_ceil(7).max(1));
+        }
+
+        #[test]
         fn a_varint_has_one_form(bytes in prop::collection::vec(any::<u8>(), 0..12)) {
             if let Some(value) = Reader::new(&bytes).varint() {
                 let mut out = Vec::new();

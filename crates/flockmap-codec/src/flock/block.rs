@@ -133,8 +133,8 @@ impl<S: Simd, D: Decide> Block<'_, S, D> {
         !self.is_expected
     }
 
-    #[inline(always)]
     /// Free voxels in which an obstacle appeared.
+    #[inline(always)]
     fn free_to_occupied(&mut self, at: usize, own: Row, truth: Bits) {
         let voxels = free(own);
         let row = |at: usize| self.cells.row(at);

@@ -99,14 +99,14 @@ mod tests {
     proptest! {
         #[test]
         fn nothing_overflows_whatever_comes(
-            decisions in prop::collection::vec((1u16.., any::<i16>(), any::<bool>(), 1usize..16), 0..2_000),
+            decisions in prop::collection::vec((1u16.., -1_016i32..=1_016, any::<bool>(), 1usize..16), 0..2_000),
         ) {
             let (mut bytes, mut weights) = (Vec::new(), START);
             let mut bits = BitWriter::new(&mut bytes);
             for (mut probability, sum, truth, count) in decisions {
                 let mut lesson = Lesson::default();
                 for _ in 0..count {
-                    code(&mut bits, &mut probability, sum.into(), &weights, &mut lesson, truth, 4);
+                    code(&mut bits, &mut probability, sum, &weights, &mut lesson, truth, 4);
                 }
                 weights.learn(lesson);
             }

@@ -86,9 +86,9 @@ impl Neighbourhood {
         }
     }
 
-    #[inline(always)]
     /// `FAST` from row to row and `SLOW` from slice to slice, as blocks are stored; rows from the highest to
     /// the lowest if `IS_UP`.
+    #[inline(always)]
     fn gather_rows<const SLOW: usize, const FAST: usize, const IS_UP: bool>(
         &mut self,
         orientation: Orientation,
@@ -134,8 +134,8 @@ impl Neighbourhood {
         }
     }
 
-    #[inline(always)]
     /// Swaps the bits of lanes with the slices, for all rows of a slice at once.
+    #[inline(always)]
     fn swap_x_and_z(&mut self) {
         let (slices, _) = self.rows.as_chunks_mut::<SLICE>();
         for (apart, mask) in [(8, 0x00ff), (4, 0x0f0f), (2, 0x3333), (1, 0x5555)] {

@@ -35,7 +35,7 @@ static ODDS: [i16; 1_024] = {
     table
 };
 
-/// By two steps of log-odds from the lowest on, each for the middle of its two.
+/// By four steps of log-odds from the lowest on, each for the middle of its four.
 static PROBABILITIES: [Probability; ODDS_MAX as usize / 2] = {
     // 2^(n / 256) in 2⁻³², each from the one before: 2^(1 / 256) in 2⁻⁶⁰.
     const STEP: u128 = 1_156_047_391_917_129_430;
@@ -65,14 +65,14 @@ mod tests {
 
     #[test]
     fn odds_and_probabilities_are_those_of_floats() {
-        for probability in 48..=65_488u16 {
-            let share = f64::from(probability / 32 * 32 + 16) / 65_536.0;
+        for probability in 64..=65_471u16 {
+            let share = f64::from(probability / 64 * 64 + 32) / 65_536.0;
             let exact = (share / (1.0 - share)).log2() * 256.0;
             let odds = odds_of(probability);
             assert!((f64::from(odds) - exact).abs() <= 0.51, "{probability}: {odds} and {exact}");
         }
         for odds in -ODDS_MAX..ODDS_MAX {
-            let ratio = (f64::from(odds.div_euclid(2) * 2 + 1) / 256.0).exp2();
+            let ratio = (f64::from(odds.div_euclid(4) * 4 + 2) / 256.0).exp2();
             let exact = ratio / (1.0 + ratio) * 65_536.0;
             let probability = probability_of(odds);
             assert!((f64::from(probability) - exact).abs() <= 1.1, "{odds}: {probability} and {exact}");

@@ -88,15 +88,21 @@ pub(crate) struct Tables {
     sure: Probability,
 }
 
+/// So many of a value, which never were on the stack.
+fn boxed<T: Clone, const N: usize>(value: T) -> Box<[T; N]> {
+    let all: Result<Box<[T; N]>, _> = vec![value; N].into_boxed_slice().try_into();
+    all.unwrap_or_else(|_| unreachable!("there are as many as were asked for"))
+}
+
 impl Tables {
     /// All are even, and add nothing.
     pub(crate) fn even(set: TableSet) -> Self {
         Self {
             sure: set.sure(),
-            near: Box::new([Worth::EVEN; NEAR_CONTEXTS]),
-            ray: Box::new([Worth::EVEN; RAY_CONTEXTS]),
-            wide: Box::new([[0; WIDE_SUMS]; QUESTIONS]),
-            flags: Box::new([[0; FLAG_SUMS]; MIXED_FLAGS]),
+            near: boxed(Worth::EVEN),
+            ray: boxed(Worth::EVEN),
+            wide: boxed([0; WIDE_SUMS]),
+            flags: boxed([0; FLAG_SUMS]),
             start: Box::default(),
         }
     }

@@ -75,7 +75,8 @@ impl<S: Simd> VoxelContexts<'_, S> {
     }
 }
 
-/// One bit of each of 32 bytes.
+/// One bit of each of 32 bytes: a shift of the words that they are in brings it to the highest place, in whatever order
+/// the bytes stand there.
 #[inline(always)]
 fn column_of_32<S: Simd>(bytes: u64x4<S>, bit: u32) -> u32 {
     let highest: i8x32<S> = (bytes << (7 - (bit & 7))).bitcast();
@@ -99,8 +100,8 @@ static OWN: [[Own; 2]; 2] = {
     // A bit of the voxel after it, and of the one after that. The two bits of a state stand two bytes apart.
     const fn own(near: u64, changed: u64, found: u64, distant: u64) -> Own {
         Own {
-            near_and_ray: [0, near << 1, 0, 0],
-            wide: ([changed << 1, 0, found << 1, 0], [0, distant << 2]),
+            near_and_ray: [0, (near << 1).to_le(), 0, 0],
+            wide: ([(changed << 1).to_le(), 0, (found << 1).to_le(), 0], [0, (distant << 2).to_le()]),
         }
     }
     [
@@ -125,13 +126,14 @@ impl<S: Simd> RowContexts<S> {
             near_and_ray = self::near_and_ray::<false>(cells, at, slope_x, slope_y);
             wide = self::wide::<false>(cells, at);
         }
-        let [a, b, c, d, e, f] = wide;
+        // In memory the lowest byte comes first, on every machine.
+        let [a, b, c, d, e, f] = wide.map(u64::to_le);
         // In four steps each; and whether they are in the upper two.
         let slope = (slope_b / 4).min(3) as u32 | ((slope_c / 4).min(3) as u32) << 2;
         let all = (slope >> 1 & 1 | slope >> 2 & 2) << 14 | slope << 24;
         Self {
             simd,
-            near_and_ray: near_and_ray.simd_into(simd),
+            near_and_ray: near_and_ray.map(u64::to_le).simd_into(simd),
             wide: ([a, b, c, d].simd_into(simd), [e, f].simd_into(simd)),
             all,
             counts: counts(cells, at) << 2,

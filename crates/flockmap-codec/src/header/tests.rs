@@ -136,7 +136,7 @@ fn a_usual_header_takes_few_bytes() {
         is_of_all: false,
         priority: Priority::NearFree,
     };
-    assert_eq!(written(&header).len(), 37);
+    assert_eq!(written(&header).len(), 32);
 }
 
 #[test]
@@ -176,13 +176,15 @@ fn numbers_out_of_range_are_refused() {
     assert_eq!(refused(&|b| b[1] = 7), "package codec 7 is not known; the sender may be newer");
     let late = refused(&|b| {
         b[1] |= KIND_SNAPSHOT << KIND_SHIFT;
-        b[15] = 5;
+        // A snapshot has another order of the stamps.
+        b[5..7].copy_from_slice(&[0, 0]);
+        b[14] = 5;
     });
     assert_eq!(late, "package header: a span begins after an earlier package");
     let resolution = "package header: the resolution is 1,000 to 100,000,000 micrometres in its shorter form";
-    // 100 mm as micrometres; 0 mm; 100,001 mm.
-    for code in [&[0xc1, 0x9a, 0x0c][..], &[0], &[0xc2, 0x9a, 0x0c]] {
-        let refused = refused(&|bytes| drop(bytes.splice(7..9, code.iter().copied())));
+    // 100 mm as micrometres and as millimetres; 0 cm; 10,001 cm.
+    for code in [&[0xc1, 0x9a, 0x0c][..], &[0x92, 0x03], &[0], &[0xc4, 0xb8, 0x02]] {
+        let refused = refused(&|bytes| drop(bytes.splice(7..8, code.iter().copied())));
         assert_eq!(refused, resolution);
     }
     let mut far = Vec::new();
@@ -190,5 +192,11 @@ fn numbers_out_of_range_are_refused() {
     assert!(read_box(&mut Fields::new(&[&far[..], &[0; 5]].concat()), 8).is_err());
     let mut wide = vec![0; 3];
     put_varint(&mut wide, u64::from(u32::MAX) - 1);
-    assert!(read_box(&mut Fields::new(&[&wide[..], &[0; 2]].concat()), 8).is_err());
+    assert!(read_box(&mut Fields::new(&[&wide[..], &[0; 2]].concat()), 1).is_err());
+    for size in [u64::MAX, 1 << 63, (1 << 63) - 1] {
+        let mut wide = vec![1; 3];
+        put_varint(&mut wide, size);
+        let is_too_wide = read_box(&mut Fields::new(&wide), 8).is_err();
+        assert_eq!(is_too_wide, size > (1 << 63) - 1, "{size}");
+    }
 }
