@@ -50,7 +50,8 @@ fn golden_state(codec: Codec, stamps: i64) -> Snapshot {
     };
     let blocks = changes.bounding_box().unwrap().blocks().map(|block| block.voxel_box());
     let region = blocks.reduce(|all, block| all.union(&block)).unwrap();
-    let sensors = (0..stamps).map(|n| (part(n).0, [16 * n as i32 - 100, -3_000, 16_500])).collect();
+    // In the middle of two voxels, where `flock` puts them.
+    let sensors = (0..stamps).map(|n| (part(n).0, [32 * n as i32 - 112, -2_992, 16_528])).collect();
     Snapshot { region, parts: (0..stamps).map(part).collect(), sensors }
 }
 

@@ -6,13 +6,10 @@ use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::flag_contexts::{FLAG_PLACES, FLAG_SUMS, MIXED_FLAGS, MixedFlag};
 use super::mixing::{ODDS_OF_SUM, TRUST, is_sure};
 use super::odds::{odds_of, probability_of};
-use super::tables::{NEAR_CONTEXTS, QUESTIONS, Question, RAY_CONTEXTS, Tables, voxel_probability};
-use super::voxel_contexts::{VoxelContexts, WIDE_SUMS};
+use super::tables::{QUESTIONS, Question, Tables, voxel_probability};
+use super::voxel_contexts::{NEAR_CONTEXTS, RAY_CONTEXTS, VoxelContexts, WIDE_SUMS};
 use fearless_simd::Simd;
 use flockmap_coder::Probability;
-
-/// Decisions that are surer teach nothing. Fewer than are left alone in coding: what comes of rare ones helps others.
-const SURE: Probability = 164;
 
 /// Fine steps in one step of a shipped value.
 const FINE: i32 = 1 << 16;
@@ -33,13 +30,15 @@ pub(crate) struct Adding {
     voxel: [Vec<i32>; QUESTIONS],
     flags: [Vec<i32>; MIXED_FLAGS],
     rate: i32,
+    sure: Probability,
 }
 
 impl Adding {
-    pub(crate) fn new(tables: Tables) -> Self {
+    /// Decisions that are as sure as this, or surer, teach nothing.
+    pub(crate) fn new(tables: Tables, sure: Probability) -> Self {
         let voxel = core::array::from_fn(|_| vec![0; VOXEL_SUMS]);
         let flags = core::array::from_fn(|_| vec![0; FLAG_SUMS]);
-        Self { tables, voxel, flags, rate: 0 }
+        Self { tables, voxel, flags, rate: 0, sure }
     }
 
     /// Begins a round.
@@ -72,7 +71,7 @@ impl Adding {
         contexts: &VoxelContexts<'_, S>,
         truth: bool,
     ) {
-        if is_sure(probability, SURE) {
+        if is_sure(probability, self.sure) {
             return;
         }
         let [a, b, c, d, e, f] = contexts.wide_places().map(|place| WIDE_AT + place);
@@ -113,7 +112,7 @@ impl Decide for Adding {
         truth: bool,
     ) -> bool {
         let probability = self.tables.start.flag[context];
-        if !is_sure(probability, SURE) {
+        if !is_sure(probability, self.sure) {
             learn(&mut self.flags[flag as usize], places(), probability, truth, self.rate);
         }
         truth

@@ -9,17 +9,13 @@ use std::sync::OnceLock;
 use super::decide::RowKind;
 use super::flag_contexts::{FLAG_PLACES, FLAG_SUMS, MIXED_FLAGS, MixedFlag};
 use super::mixing;
-use super::voxel_contexts::{VoxelContexts, WIDE_SUMS};
+use super::voxel_contexts::{NEAR_CONTEXTS, RAY_CONTEXTS, VoxelContexts, WIDE_SUMS};
 use crate::deflate::inflate_exact;
 use fearless_simd::Simd;
 use flockmap_coder::Probability;
 
 /// Levels of likelihood: steps of ¼ in ln(p / (1 − p)), level 32 is even.
 pub(crate) const LEVELS: usize = 64;
-/// Contexts of an unknown voxel by the cells around it.
-pub(crate) const NEAR_CONTEXTS: usize = 1 << 16;
-/// Contexts of an unknown voxel by the cells along its ray.
-pub(crate) const RAY_CONTEXTS: usize = 1 << 15;
 /// Kinds of rows with unknown voxels: ordinary, a surprise in which nothing was found yet, one in which
 /// something was.
 pub(crate) const ROW_KINDS: usize = 3;
@@ -163,7 +159,7 @@ impl TableSet {
     pub(crate) const fn sure(self) -> Probability {
         match self {
             Self::Dense => 1_311,
-            Self::Sparse => 656,
+            Self::Sparse => 800,
             Self::Obstacles => 328,
         }
     }

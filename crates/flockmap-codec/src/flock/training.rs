@@ -17,10 +17,10 @@ use super::model::Model;
 use super::order::{self, Changed, in_order};
 use super::orientation::Orientation;
 use super::tables::{
-    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, NEAR_CONTEXTS, Question, RAY_CONTEXTS, SET_BYTES,
-    TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
+    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Question, SET_BYTES, TableSet, Tables,
+    VOXEL_PROBABILITIES, voxel_probability,
 };
-use super::voxel_contexts::VoxelContexts;
+use super::voxel_contexts::{NEAR_CONTEXTS, RAY_CONTEXTS, VoxelContexts};
 use crate::deflate::{Deflater, inflate_exact};
 use crate::source::Batch;
 use fearless_simd::Simd;
@@ -91,6 +91,14 @@ enum Learning {
     Counting(Box<Counting>),
     /// What contexts add; the round.
     Adding(Box<Adding>, usize),
+}
+
+/// How sure a decision may be to teach something. A little surer than those that are mixed, where that is better.
+const fn learned(set: TableSet) -> Probability {
+    match set {
+        TableSet::Dense => 656,
+        TableSet::Sparse | TableSet::Obstacles => 328,
+    }
 }
 
 /// Rounds that training takes.
@@ -174,7 +182,8 @@ impl Trainer {
             Learning::Counting(counting) => match &counting.tables {
                 None => Learning::Counting(Box::new(Counting::new(Some(counting.with_levels(self.set))))),
                 Some(tables) => {
-                    let mut adding = Adding::new(counting.with_probabilities(tables.clone()));
+                    let mut adding =
+                        Adding::new(counting.with_probabilities(tables.clone()), learned(self.set));
                     adding.begin(RATES[0]);
                     Learning::Adding(Box::new(adding), 0)
                 }

@@ -9,8 +9,11 @@ use fearless_simd::{i8x16, i8x32, u64x2, u64x4};
 use super::cells::{Row, STATES, new, occupied};
 use super::neighbourhood::{Neighbourhood, ROW, SLICE};
 use super::rays::Rays;
-use super::tables::RAY_CONTEXTS;
 
+/// Contexts of an unknown voxel by the cells around it.
+pub(crate) const NEAR_CONTEXTS: usize = 1 << 16;
+/// Contexts of an unknown voxel by the cells along its ray.
+pub(crate) const RAY_CONTEXTS: usize = 1 << 15;
 /// Contexts of a voxel beyond the nearest cells and the ray, each with a table.
 pub(crate) const WIDE_PLACES: usize = 6;
 
