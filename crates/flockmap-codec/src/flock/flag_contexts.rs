@@ -46,7 +46,7 @@ pub(crate) fn of_row(cells: &Neighbourhood, at: usize, voxels: u8, class: usize)
     let far = fresh(row(0, -3) | row(-1, -3) | row(-3, 0) | row(-3, -1));
     let ends = own | over | beside | beyond;
     let ends = usize::from(ends >> 43 & 7 != 0) | usize::from(ends >> 32 & 3 != 0) << 1;
-    let aside = usize::from(aside != 0) + usize::from(aside & aside.wrapping_sub(1) & 0xff != 0);
+    let aside = usize::from(aside != 0) + usize::from(aside & aside.wrapping_sub(1) != 0);
     let y = (at & 15).wrapping_sub(3) & 7;
     let z = (at >> 4).wrapping_sub(3) & 7;
     let class = class & 63;

@@ -22,7 +22,7 @@ const SENSOR_UNIT: i32 = 32;
 
 /// A sensor as it is sent: in the middle of its unit.
 pub(crate) fn as_sent(sensor: [i32; 3]) -> [i32; 3] {
-    sensor.map(|at| at & -SENSOR_UNIT | SENSOR_UNIT / 2)
+    sensor.map(|at| (at & -SENSOR_UNIT) | (SENSOR_UNIT / 2))
 }
 
 impl Head {
