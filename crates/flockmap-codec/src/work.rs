@@ -8,7 +8,7 @@ use crate::error::PackageError;
 
 /// Steps for each byte of payload. A step is two to four nanoseconds of a core that runs at 3 GHz. Real
 /// flights ask for 60 to 240, and what asks for more is filled up or cut.
-const STEPS_PER_BYTE: u64 = 192;
+const STEPS_PER_BYTE: u64 = 224;
 /// Steps that a payload may ask for beside, however short it is: its header has about as many bytes.
 pub(crate) const STEPS_FREE: u64 = 6_144;
 

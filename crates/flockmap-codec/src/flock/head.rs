@@ -18,7 +18,7 @@ pub(crate) struct Head {
 }
 
 /// Sixteenths of a voxel to which the place of a sensor is rounded.
-const SENSOR_UNIT: i32 = 32;
+const SENSOR_UNIT: i32 = 16;
 
 /// A sensor as it is sent: in the middle of its unit.
 pub(crate) fn as_sent(sensor: [i32; 3]) -> [i32; 3] {

@@ -2,7 +2,7 @@
 //! chunk of a snapshot has one for each of its stamps.
 //!
 //! The payload: a varint, the number of blocks of the box before the first that is coded times four, plus
-//! the set of tables; the sensor's position, three signed varints, in units of two voxels from the middle of
+//! the set of tables; the sensor's position, three signed varints, in whole voxels from the middle of
 //! the box; a varint, the number of blocks from the first to the last that is coded; the decisions. Blocks
 //! are counted in the order of `order.rs`.
 
