@@ -31,6 +31,9 @@ pub(crate) struct Adding {
     flags: [Vec<i32>; MIXED_FLAGS],
     rate: i32,
     sure: Probability,
+    /// Sums of all values after each batch of the round, and how many these are.
+    total: Vec<i64>,
+    batches: i64,
 }
 
 impl Adding {
@@ -38,19 +41,37 @@ impl Adding {
     pub(crate) fn new(tables: Tables, sure: Probability) -> Self {
         let voxel = core::array::from_fn(|_| vec![0; VOXEL_SUMS]);
         let flags = core::array::from_fn(|_| vec![0; FLAG_SUMS]);
-        Self { tables, voxel, flags, rate: 0, sure }
+        Self { tables, voxel, flags, rate: 0, sure, total: Vec::new(), batches: 0 }
     }
 
     /// Begins a round.
     pub(crate) fn begin(&mut self, rate: i32) {
         self.rate = rate;
+        self.total = vec![0; self.values().count()];
+        self.batches = 0;
+    }
+
+    fn values(&self) -> impl Iterator<Item = &i32> {
+        self.voxel.iter().chain(&self.flags).flatten()
+    }
+
+    /// Ends a batch.
+    pub(crate) fn end_batch(&mut self) {
+        let values = self.voxel.iter().chain(&self.flags).flatten();
+        self.total.iter_mut().zip(values).for_each(|(total, value)| *total += i64::from(*value));
+        self.batches += 1;
     }
 
     /// The tables with the sums as they are.
     pub(crate) fn tables(&self) -> Tables {
         let mut tables = self.tables.clone();
+        // Means over the last round: what was learned last counts no more than what was before.
+        let mut means = self.total.iter().map(|total| (total / self.batches.max(1)) as i32);
+        let mut mean = |like: &Vec<i32>| means.by_ref().take(like.len()).collect::<Vec<_>>();
+        let voxel: Vec<_> = self.voxel.iter().map(&mut mean).collect();
+        let flags: Vec<_> = self.flags.iter().map(&mut mean).collect();
         let shipped = |value: &i32| ((value + FINE / 2) >> 16).clamp(-127, 127) as i8;
-        for (question, values) in self.voxel.iter().enumerate() {
+        for (question, values) in voxel.iter().enumerate() {
             let (near, rest) = values.split_at(NEAR_CONTEXTS);
             let (ray, wide) = rest.split_at(RAY_CONTEXTS);
             for (to, from) in tables.near.iter_mut().zip(near).chain(tables.ray.iter_mut().zip(ray)) {
@@ -58,7 +79,7 @@ impl Adding {
             }
             tables.wide[question].iter_mut().zip(wide).for_each(|(to, from)| *to = shipped(from));
         }
-        for (to, from) in tables.flags.iter_mut().zip(&self.flags) {
+        for (to, from) in tables.flags.iter_mut().zip(&flags) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = shipped(from));
         }
         tables

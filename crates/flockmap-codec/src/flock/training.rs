@@ -143,6 +143,9 @@ impl Trainer {
                 }
             }
         }
+        if let Learning::Adding(adding, _) = &mut self.learning {
+            adding.end_batch();
+        }
     }
 
     fn package<D: Decide>(
@@ -190,7 +193,9 @@ impl Trainer {
             },
             Learning::Adding(adding, round) => {
                 *round += 1;
-                adding.begin(RATES.get(*round).copied().unwrap_or(0));
+                if let Some(rate) = RATES.get(*round) {
+                    adding.begin(*rate);
+                }
                 return;
             }
         };
