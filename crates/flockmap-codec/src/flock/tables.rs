@@ -158,7 +158,7 @@ impl TableSet {
     /// it takes.
     pub(crate) const fn sure(self) -> Probability {
         match self {
-            Self::Dense => 1_311,
+            Self::Dense => 2_600,
             Self::Sparse => 800,
             Self::Obstacles => 328,
         }
