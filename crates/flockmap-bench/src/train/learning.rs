@@ -20,11 +20,8 @@ pub fn tables(recordings: &[Recording], threads: usize) -> Vec<u8> {
 fn is_of_set(set: usize, recording: &Recording, changes: &Changes) -> bool {
     match training::SETS[set] {
         "obstacles" => recording.closing == Closing::ObstaclesAhead && is_of_obstacles(changes),
-        scans => {
-            recording.closing == Closing::Together
-                && recording.scans.name() == scans
-                && !is_of_obstacles(changes)
-        }
+        // Free space alone too, where obstacles went ahead.
+        scans => recording.scans.name() == scans && !is_of_obstacles(changes),
     }
 }
 

@@ -51,7 +51,7 @@ impl Habits {
 
     /// How many blocks from the front are sure to fill so many bytes, if there are as many.
     pub(crate) fn reach(&self, blocks: &[Changed<'_>], room: usize) -> usize {
-        let changes = room.saturating_mul(1_024 + 1_024 / 4) / self.rate.max(1);
+        let changes = room.saturating_mul(2 * 1_024) / self.rate.max(1);
         let mut left = u32::try_from(changes.max(1)).unwrap_or(u32::MAX);
         let full = blocks.iter().position(|(_, states)| {
             let changes = states.known_count();

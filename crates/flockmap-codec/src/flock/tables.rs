@@ -159,7 +159,7 @@ impl TableSet {
     pub(crate) const fn sure(self) -> Probability {
         match self {
             Self::Dense => 2_600,
-            Self::Sparse => 800,
+            Self::Sparse => 1_966,
             Self::Obstacles => 328,
         }
     }
