@@ -7,6 +7,7 @@ use flockmap_cli::progress::Progress;
 use flockmap_codec::training::{self, ROUNDS, Trainer};
 
 use super::recording::{Closing, Recording};
+use super::scenes::Scans;
 
 /// The file of the tables. The same bytes whatever the number of threads.
 pub fn tables(recordings: &[Recording], threads: usize) -> Vec<u8> {
@@ -18,15 +19,14 @@ pub fn tables(recordings: &[Recording], threads: usize) -> Vec<u8> {
 
 /// Whether a set is learned from a batch.
 fn is_of_set(set: usize, recording: &Recording, changes: &Changes) -> bool {
+    let is_of_obstacles = changes.blocks().iter().all(|(_, states)| *states.free() == [0; 8]);
+    let is_ahead = recording.closing == Closing::ObstaclesAhead;
     match training::SETS[set] {
-        "obstacles" => recording.closing == Closing::ObstaclesAhead && is_of_obstacles(changes),
-        // Free space alone too, where obstacles went ahead.
-        scans => recording.scans.name() == scans && !is_of_obstacles(changes),
+        "obstacles" => is_ahead && is_of_obstacles,
+        "dense" => recording.scans == Scans::Dense && !is_ahead && !is_of_obstacles,
+        "free" => recording.scans == Scans::Dense && is_ahead && !is_of_obstacles,
+        _ => recording.scans == Scans::Sparse && !is_of_obstacles,
     }
-}
-
-fn is_of_obstacles(changes: &Changes) -> bool {
-    changes.blocks().iter().all(|(_, states)| states.free().iter().all(|plane| *plane == 0))
 }
 
 fn learn(set: usize, recordings: &[Recording], progress: &Progress) -> Trainer {
@@ -77,7 +77,7 @@ impl<'a> Receiver<'a> {
 #[cfg(test)]
 mod tests {
     use super::super::recording::record;
-    use super::super::scenes::{SCENES, Scans, Scene};
+    use super::super::scenes::{SCENES, Scene};
     use super::*;
     use flockmap::{Batch, Resolution, RobotId, Stamp, State, Stream, Voxel};
 
@@ -118,8 +118,10 @@ mod tests {
             let recording = Recording { scans, closing, batches: batches.clone() };
             batches.iter().filter(|(_, changes)| is_of_set(set, &recording, changes)).count()
         };
-        assert_eq!([0, 1, 2].map(|set| learned(set, Scans::Dense, Closing::Together)), [7, 0, 0]);
-        assert_eq!([0, 1, 2].map(|set| learned(set, Scans::Sparse, Closing::Together)), [0, 7, 0]);
-        assert_eq!([0, 1, 2].map(|set| learned(set, Scans::Sparse, Closing::ObstaclesAhead)), [0, 0, 16]);
+        let of_all = |scans, closing| [0, 1, 2, 3].map(|set| learned(set, scans, closing));
+        assert_eq!(of_all(Scans::Dense, Closing::Together), [7, 0, 0, 0]);
+        assert_eq!(of_all(Scans::Sparse, Closing::Together), [0, 7, 0, 0]);
+        assert_eq!(of_all(Scans::Dense, Closing::ObstaclesAhead), [0, 0, 16, 7]);
+        assert_eq!(of_all(Scans::Sparse, Closing::ObstaclesAhead), [0, 7, 16, 0]);
     }
 }

@@ -7,23 +7,13 @@ use flockmap_worlds::Lidar;
 
 use crate::place::Place;
 
-/// How much of what is there a scan hits: each has a set of tables of its own.
+/// How much of what is there a scan hits.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Scans {
     /// So many rays for each voxel that neighbours are seen together.
     Dense,
     /// Single rays show in the map.
     Sparse,
-}
-
-impl Scans {
-    /// Its set, as in [`flockmap_codec::training::SETS`].
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Dense => "dense",
-            Self::Sparse => "sparse",
-        }
-    }
 }
 
 /// The voxels of a map and how far its mapper looks.

@@ -14,7 +14,7 @@ use flockmap_coder::Probability;
 /// Fine steps in one step of a shipped value.
 const FINE: i32 = 1 << 16;
 
-/// How far values move by round, in sixteenths of a fine step for each 65,536th of error: far at first, so that
+/// How far values move by round, in 32nds of a fine step for each 65,536th of error: far at first, so that
 /// rare contexts get somewhere, and less and less.
 pub(crate) const RATES: [i32; 4] = [46, 22, 10, 5];
 
@@ -70,7 +70,8 @@ impl Adding {
         let mut mean = |like: &Vec<i32>| means.by_ref().take(like.len()).collect::<Vec<_>>();
         let voxel: Vec<_> = self.voxel.iter().map(&mut mean).collect();
         let flags: Vec<_> = self.flags.iter().map(&mut mean).collect();
-        let shipped = |value: &i32| ((value + FINE / 2) >> 16).clamp(-127, 127) as i8;
+        // Towards zero: less than a step is chance as often as not, and zeros take no room in the file.
+        let shipped = |value: &i32| (value / FINE).clamp(-127, 127) as i8;
         for (question, values) in voxel.iter().enumerate() {
             let (near, rest) = values.split_at(NEAR_CONTEXTS);
             let (ray, wide) = rest.split_at(RAY_CONTEXTS);
@@ -92,7 +93,7 @@ impl Adding {
         contexts: &VoxelContexts<'_, S>,
         truth: bool,
     ) {
-        if is_sure(probability, self.sure) {
+        if question == Question::Kind && self.tables.is_all_occupied || is_sure(probability, self.sure) {
             return;
         }
         let [a, b, c, d, e, f] = contexts.wide_places().map(|place| WIDE_AT + place);
@@ -113,7 +114,7 @@ fn learn<const N: usize>(
     let sum: i32 = places.iter().map(|place| values[*place]).sum();
     let expected = i32::from(probability_of(own + ((sum * ODDS_OF_SUM) >> 16)));
     let error = if truth { 65_536 - expected } else { -expected };
-    let step = (error * rate) >> 4;
+    let step = (error * rate) >> 5;
     const MOST: i32 = 127 * FINE;
     for place in places {
         values[place] = (values[place] + step).clamp(-MOST, MOST);

@@ -28,6 +28,8 @@ const SAMPLE_RUN: usize = 4;
 const LEAD_BITS: u64 = 32;
 /// Dense tables have to be ahead by one part in so many of what they cost.
 const DENSE_PART: u64 = 32;
+/// The same of those of free space.
+const FREE_PART: u64 = 8;
 
 /// The set with which some of `blocks` take the fewest bits; as few as are needed to choose.
 pub(crate) fn choose(
@@ -81,7 +83,11 @@ impl Trial {
     fn best(&self) -> (TableSet, u64) {
         // What is behind the blocks of a sample is not coded, and without that dense scans look likelier than they
         // are.
-        let handicap = |cost, set| if set == TableSet::Dense { cost + cost / DENSE_PART } else { cost };
+        let handicap = |cost, set| match set {
+            TableSet::Dense => cost + cost / DENSE_PART,
+            TableSet::Free => cost + cost / FREE_PART,
+            TableSet::Sparse | TableSet::Obstacles => cost,
+        };
         let mut costs: Vec<_> =
             self.sets.iter().map(|(cost, set, _)| (handicap(*cost, *set), *set)).collect();
         costs.sort_by_key(|(cost, _)| *cost);

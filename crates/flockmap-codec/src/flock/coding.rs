@@ -116,6 +116,9 @@ impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
 
     #[inline(always)]
     fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        if self.tables.is_all_occupied {
+            return true;
+        }
         let at = usize::from(self.tables.level(Question::Kind, contexts));
         if self.tables.is_sure(self.kind[at]) {
             return self.bits.code(&mut self.kind[at], truth, KIND_RATE);

@@ -17,6 +17,11 @@ pub(crate) struct Head {
     pub(crate) before: u64,
 }
 
+/// Numbers that name a set of tables; the last says that there is none.
+const SETS: u64 = 5;
+/// The first byte of a payload that is gap coded.
+pub(crate) const GAP_CODED: u8 = SETS as u8 - 1;
+
 /// Sixteenths of a voxel to which the place of a sensor is rounded.
 const SENSOR_UNIT: i32 = 16;
 
@@ -27,7 +32,7 @@ pub(crate) fn as_sent(sensor: [i32; 3]) -> [i32; 3] {
 
 impl Head {
     pub(crate) fn write(&self, region: &BlockBox, out: &mut Vec<u8>) {
-        put_varint(out, self.before << 2 | u64::from(self.set.id()));
+        put_varint(out, self.before * SETS + u64::from(self.set.id()));
         for (at, middle) in self.sensor.into_iter().zip(region.middle()) {
             put_zigzag(out, (i64::from(at) - middle).div_euclid(i64::from(SENSOR_UNIT)));
         }
@@ -37,8 +42,8 @@ impl Head {
     pub(crate) fn read(region: &BlockBox, reader: &mut Fields<'_>) -> Result<Self, PackageError> {
         let wrong = |rule| PackageError::Payload { codec: Codec::Flock, rule };
         let volume = region.volume().min(BOX_BLOCKS_MAX) as u64;
-        let number = reader.number("tables and blocks before", volume << 2 | 3)?;
-        let set = TableSet::from_id((number & 3) as u8).ok_or_else(|| wrong("the tables are known"))?;
+        let number = reader.number("tables and blocks before", (volume + 1) * SETS - 1)?;
+        let set = TableSet::from_id((number % SETS) as u8).ok_or_else(|| wrong("the tables are known"))?;
         let mut sensor = [0; 3];
         for (at, middle) in sensor.iter_mut().zip(region.middle()) {
             let place = reader.signed("sensor")?.checked_mul(SENSOR_UNIT.into());
@@ -46,6 +51,6 @@ impl Head {
             let place = place.and_then(|at| i32::try_from(at).ok());
             *at = place.ok_or_else(|| wrong("the sensor is within 2³¹ sixteenths of a voxel"))?;
         }
-        Ok(Self { set, sensor, before: number >> 2 })
+        Ok(Self { set, sensor, before: number / SETS })
     }
 }

@@ -11,8 +11,8 @@ pub(crate) fn is_sure(probability: Probability, sure: Probability) -> bool {
     probability.wrapping_sub(sure) > 0u16.wrapping_sub(2 * sure)
 }
 
-/// Sums of trained tables are in sixteenths of a bit.
-pub(crate) const ODDS_OF_SUM: Odds = 16;
+/// Sums of trained tables are in eighths of a bit.
+pub(crate) const ODDS_OF_SUM: Odds = 32;
 
 /// Weights of both and a bias, in 2⁻¹⁴. What is learned of them wraps round where only a package made for it could
 /// bring it: reader and writer agree all the same.

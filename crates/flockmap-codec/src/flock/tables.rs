@@ -81,6 +81,8 @@ pub(crate) struct Tables {
     /// What contexts add to the log-odds of flags, by [`MixedFlag`](super::flag_contexts::MixedFlag).
     pub(crate) flags: Box<[[i8; FLAG_SUMS]; MIXED_FLAGS]>,
     pub(crate) start: Box<Probabilities>,
+    /// See [`TableSet::is_all_occupied`].
+    pub(crate) is_all_occupied: bool,
     sure: Probability,
 }
 
@@ -94,6 +96,7 @@ impl Tables {
     /// All are even, and add nothing.
     pub(crate) fn even(set: TableSet) -> Self {
         Self {
+            is_all_occupied: set.is_all_occupied(),
             sure: set.sure(),
             near: boxed(Worth::EVEN),
             ray: boxed(Worth::EVEN),
@@ -140,10 +143,12 @@ pub(crate) enum TableSet {
     Sparse,
     /// Batches of nothing but obstacles.
     Obstacles,
+    /// Free space with hardly an obstacle: those went ahead.
+    Free,
 }
 
 impl TableSet {
-    pub(crate) const ALL: [Self; 3] = [Self::Dense, Self::Sparse, Self::Obstacles];
+    pub(crate) const ALL: [Self; 4] = [Self::Dense, Self::Sparse, Self::Obstacles, Self::Free];
 
     /// The set with this number.
     pub(crate) fn from_id(id: u8) -> Option<Self> {
@@ -158,10 +163,15 @@ impl TableSet {
     /// it takes.
     pub(crate) const fn sure(self) -> Probability {
         match self {
-            Self::Dense => 2_600,
-            Self::Sparse => 1_966,
+            Self::Dense | Self::Sparse => 2_600,
             Self::Obstacles => 328,
+            Self::Free => 656,
         }
+    }
+
+    /// Whether all voxels that were seen are Occupied, so that nobody asks.
+    pub(crate) const fn is_all_occupied(self) -> bool {
+        matches!(self, Self::Obstacles)
     }
 
     /// The tables that are shipped.

@@ -21,7 +21,7 @@ use super::tables::{
     VOXEL_PROBABILITIES, voxel_probability,
 };
 use super::voxel_contexts::{NEAR_CONTEXTS, RAY_CONTEXTS, VoxelContexts};
-use crate::deflate::{Deflater, inflate_exact};
+use crate::deflate::inflate_exact;
 use crate::source::Batch;
 use fearless_simd::Simd;
 use flockmap_coder::Probability;
@@ -45,10 +45,7 @@ const LEVEL_BOUNDS: [u32; LEVELS - 1] = [
 ];
 
 /// What the sets of a file are for, in their order in it.
-pub const SETS: [&str; TableSet::ALL.len()] = ["dense", "sparse", "obstacles"];
-
-/// The tables are made once and read for years: the best level of zlib. A change of it changes the file.
-const ZLIB_LEVEL: u32 = 9;
+pub const SETS: [&str; TableSet::ALL.len()] = ["dense", "sparse", "obstacles", "free"];
 
 /// Bytes that are not a file of tables.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
@@ -58,7 +55,11 @@ pub struct NotTables;
 /// The file that the codec ships, of the [`Trainer::tables`] of each of [`SETS`].
 pub fn file(sets: &[Vec<u8>]) -> Vec<u8> {
     let mut file = Vec::new();
-    Deflater::with_level(ZLIB_LEVEL).deflate(&sets.concat(), &mut file);
+    // Made once and read for years: a seventh smaller than by zlib itself, which does not begin its blocks where other
+    // bytes begin.
+    let options = zopfli::Options { maximum_block_splits: 120, ..zopfli::Options::default() };
+    let written = zopfli::compress(options, zopfli::Format::Zlib, &*sets.concat(), &mut file);
+    written.unwrap_or_else(|error| unreachable!("memory takes all that is written: {error}"));
     file
 }
 
@@ -96,7 +97,7 @@ enum Learning {
 /// How sure a decision may be to teach something. A little surer than those that are mixed, where that is better.
 const fn learned(set: TableSet) -> Probability {
     match set {
-        TableSet::Dense => 656,
+        TableSet::Dense | TableSet::Free => 656,
         TableSet::Sparse | TableSet::Obstacles => 328,
     }
 }
@@ -113,7 +114,7 @@ impl Trainer {
         let set = TableSet::ALL[set];
         Self {
             set,
-            learning: Learning::Counting(Box::new(Counting::new(None))),
+            learning: Learning::Counting(Box::new(Counting::new(set, None))),
             model: Model::default(),
             coded: Vec::new(),
         }
@@ -183,7 +184,7 @@ impl Trainer {
     pub fn end_round(&mut self) {
         self.learning = match &mut self.learning {
             Learning::Counting(counting) => match &counting.tables {
-                None => Learning::Counting(Box::new(Counting::new(Some(counting.with_levels(self.set))))),
+                None => Learning::Counting(Box::new(Counting::new(self.set, Some(counting.with_levels())))),
                 Some(tables) => {
                     let mut adding =
                         Adding::new(counting.with_probabilities(tables.clone()), learned(self.set));
@@ -213,6 +214,7 @@ impl Trainer {
 }
 
 struct Counting {
+    set: TableSet,
     tables: Option<Tables>,
     near: Vec<Counts>,
     ray: Vec<Counts>,
@@ -224,9 +226,10 @@ struct Counting {
 }
 
 impl Counting {
-    fn new(tables: Option<Tables>) -> Self {
+    fn new(set: TableSet, tables: Option<Tables>) -> Self {
         let none = |count| vec![[0; 2]; count];
         Self {
+            set,
             tables,
             near: none(NEAR_CONTEXTS),
             ray: none(RAY_CONTEXTS),
@@ -239,7 +242,7 @@ impl Counting {
     }
 
     /// What contexts are worth. Contexts that were rarely met lean on groups of similar ones.
-    fn with_levels(&self, set: TableSet) -> Tables {
+    fn with_levels(&self) -> Tables {
         let near_group = |context: usize| {
             // The two bits of a state stand two apart: those of two voxels in each four bits.
             let state = |cell: usize| {
@@ -250,7 +253,7 @@ impl Counting {
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
         let ray_group = |context: usize| context & 255;
-        let mut tables = Tables::even(set);
+        let mut tables = Tables::even(self.set);
         for (question, near, ray, prior) in [
             (Question::Seen, &self.near, &self.ray, EVEN_ODDS),
             (Question::Kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
@@ -308,7 +311,7 @@ fn levels(counts: &[Counts], group: impl Fn(usize) -> usize, prior: u32) -> Vec<
     }
     let level = |(context, counts): (usize, &Counts)| {
         let prior = share(groups[group(context)], prior, 1);
-        let share = share(*counts, prior, 4);
+        let share = share(*counts, prior, 16);
         LEVEL_BOUNDS.partition_point(|bound| *bound <= share) as u8
     };
     counts.iter().enumerate().map(level).collect()
@@ -336,6 +339,9 @@ impl DecideVoxel for Counting {
     }
 
     fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        if self.set.is_all_occupied() {
+            return truth;
+        }
         let (near, ray) = (contexts.near(), contexts.ray());
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;
