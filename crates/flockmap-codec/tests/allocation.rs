@@ -207,8 +207,8 @@ fn voxels_far_apart_take_no_memory_between_them() {
             encoder.encode_batch(codec, &batch(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
             encoder.encode_snapshot(codec, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX).unwrap();
         });
-        // The tables of `flock` are unpacked once in a process: 1.7 MB, and as much again meanwhile.
-        assert!(peak < 4_000_000, "{codec}: {peak}");
+        // The tables of `flock` are unpacked once in a process: 2.3 MB, and as much again meanwhile.
+        assert!(peak < 5_000_000, "{codec}: {peak}");
     }
 }
 
