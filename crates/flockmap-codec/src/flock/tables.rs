@@ -163,7 +163,8 @@ impl TableSet {
     /// it takes.
     pub(crate) const fn sure(self) -> Probability {
         match self {
-            Self::Dense | Self::Sparse => 2_600,
+            Self::Dense => 2_450,
+            Self::Sparse => 2_600,
             Self::Obstacles => 328,
             Self::Free => 656,
         }
