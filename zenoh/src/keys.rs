@@ -3,14 +3,14 @@
 //!
 //! | key | what |
 //! |---|---|
-//! | `flockmap/7/4/12-99/500` | package 500 of run 99 of robot 12, of swarm 7, in version 4 of the format |
-//! | `flockmap/7/4/12-99/snapshot/1f3a9c00/3` | chunk 3 of a snapshot of that run |
-//! | `flockmap/7/4/12-99/snapshot/1f3a9c00/contents` | the packages that it contains, if their history has gaps |
-//! | `flockmap/7/4/@holder/NAME` | a liveliness token: somebody who holds packages and answers |
-//! | `flockmap/7/4/@holder/NAME/held` | what he holds, as JSON |
-//! | `flockmap/7/4/@holder/NAME/get/12-99` | what the sender of the query lacks of a run |
+//! | `flockmap/7/5/12-99/500` | package 500 of run 99 of robot 12, of swarm 7, in version 5 of the format |
+//! | `flockmap/7/5/12-99/snapshot/1f3a9c00/3` | chunk 3 of a snapshot of that run |
+//! | `flockmap/7/5/12-99/snapshot/1f3a9c00/contents` | the packages that it contains, if their history has gaps |
+//! | `flockmap/7/5/@holder/NAME` | a liveliness token: somebody who holds packages and answers |
+//! | `flockmap/7/5/@holder/NAME/held` | what he holds, as JSON |
+//! | `flockmap/7/5/@holder/NAME/get/12-99` | what the sender of the query lacks of a run |
 //!
-//! `@holder` is not matched by `*` or `**`, so `flockmap/7/4/**` is packages and snapshots alone.
+//! `@holder` is not matched by `*` or `**`, so `flockmap/7/5/**` is packages and snapshots alone.
 
 use std::str::FromStr;
 

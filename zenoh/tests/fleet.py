@@ -63,7 +63,7 @@ def start_station(world, name, *words):
 def held(session, swarm=7):
     """What each holder holds: streams with the intervals of their packages."""
     answers = {}
-    for reply in session.get(f"flockmap/{swarm}/4/@holder/*/held", target=zenoh.QueryTarget.ALL, timeout=3.0):
+    for reply in session.get(f"flockmap/{swarm}/5/@holder/*/held", target=zenoh.QueryTarget.ALL, timeout=3.0):
         if reply.ok:
             name = str(reply.ok.key_expr).split("/")[4]
             said = json.loads(reply.ok.payload.to_string())
@@ -133,11 +133,11 @@ def flight(world, records, kills=False):
         start_station(world, "station2")
         time.sleep(1)
         began = time.monotonic()
-        stranger = [len(r.ok.payload) for r in session.get("flockmap/7/4/**", timeout=30.0) if r.ok]
+        stranger = [len(r.ok.payload) for r in session.get("flockmap/7/5/**", timeout=30.0) if r.ok]
         print(f"      a stranger gets {len(stranger)} packages and chunks, {sum(stranger)} B, in "
               f"{time.monotonic() - began:.2f} s")
         snapshots = sum(len(r.ok.payload) for origin, epoch in held(session)["archive1"] for r in session.get(
-            f"flockmap/7/4/@holder/archive1/get/{origin}-{epoch}?as=snapshot", timeout=30.0,
+            f"flockmap/7/5/@holder/archive1/get/{origin}-{epoch}?as=snapshot", timeout=30.0,
             accept_replies=zenoh.ReplyKeyExpr.ANY) if r.ok)
     time.sleep(6)
     tcp = received(world, "station2") - before
@@ -229,16 +229,16 @@ def access(world, records):
             session.declare_subscriber("flockmap/7/**", seen.append)
             session.declare_subscriber("flockmap/8/**", seen.append)
             time.sleep(3)
-            replies = [r for r in session.get("flockmap/7/4/**", timeout=5.0) if r.ok]
+            replies = [r for r in session.get("flockmap/7/5/**", timeout=5.0) if r.ok]
             held_there = held(session)
             # What it puts itself it sees too.
             seen_there = len(seen)
             before = world.counter("archive", "zenoh_refused")
             for index in range(1, 200):
-                session.put(f"flockmap/7/4/1-99/{index}", b"x" * 100)
-                session.put(f"flockmap/7/4/@holder/{who}/held", b"{}")
-                session.delete(f"flockmap/7/4/1-99/{index}")
-            session.delete("flockmap/7/4/**")
+                session.put(f"flockmap/7/5/1-99/{index}", b"x" * 100)
+                session.put(f"flockmap/7/5/@holder/{who}/held", b"{}")
+                session.delete(f"flockmap/7/5/1-99/{index}")
+            session.delete("flockmap/7/5/**")
             time.sleep(5)
             after = world.counter("archive", "zenoh_refused")
             if who == "guest":
@@ -284,7 +284,7 @@ def garbage(world, records):
     enter(world, "stranger")
     with client(world, "router") as session:
         wait_for("all of the flight", lambda: all_agree(session, ["gateway", "archive"]), 60)
-        sound = {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get("flockmap/7/4/**", timeout=30.0) if r.ok}
+        sound = {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get("flockmap/7/5/**", timeout=30.0) if r.ok}
         before = {name: memory(world, name) for name in ("archive", "station")}
         put, key = 0, next(iter(sound))
         stream = "/".join(key.split("/")[:4])
@@ -297,7 +297,7 @@ def garbage(world, records):
         began = time.monotonic()
         for length in (0, 1, 13, 1150, 1151, 70_000, 16_000_000):
             for at in (f"{stream}/100000", f"{stream}/snapshot/00000001/0", f"{stream}/snapshot/00000001/contents",
-                       "flockmap/7/4/9-9/1", "flockmap/7/4/nonsense", "flockmap/7/4/9-9/1/2/3"):
+                       "flockmap/7/5/9-9/1", "flockmap/7/5/nonsense", "flockmap/7/5/9-9/1/2/3"):
                 give(at, b"\xff" * length)
         for index, (key, value) in enumerate(list(sound.items())[:200]):
             give(f"{stream}/{200_000 + index}", value)
@@ -305,9 +305,9 @@ def garbage(world, records):
             bent[index * 7 % len(bent)] ^= 1 << index % 8
             give(key, bytes(bent))
             session.delete(key)
-        session.delete("flockmap/7/4/**")
+        session.delete("flockmap/7/5/**")
         for number in range(1_000_000):
-            give(f"flockmap/{number % 5 + 7}/4/{number % 60_000}-{number}/{number}", b"")
+            give(f"flockmap/{number % 5 + 7}/5/{number % 60_000}-{number}/{number}", b"")
         print(f"      {put} values put in {time.monotonic() - began:.0f} s")
         wait_for("the end of it", lambda: world.counter("station", "zenoh_refused") > 0
                  and still(lambda: world.counter("station", "zenoh_refused")), 120)
@@ -316,9 +316,9 @@ def garbage(world, records):
             refused = world.counter(name, "zenoh_refused")
             print(f"      {name}: refused {refused}; memory {resident >> 10} MiB before, {now >> 10} after, at most {most >> 10}")
             check(f"{name} has bounded memory", most < resident + (96 << 10))
-        again = {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get("flockmap/7/4/**", timeout=30.0) if r.ok}
+        again = {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get("flockmap/7/5/**", timeout=30.0) if r.ok}
         check(f"what a stranger gets is as before: {len(again)} packages", again == sound)
-        give(f"flockmap/7/4/@holder/stranger/held", b"{")
+        give(f"flockmap/7/5/@holder/stranger/held", b"{")
     for name in (robots[0], "station", "archive", "gateway"):
         check(f"{name} ends well", world.stop(name) == 0)
     of_robot = layers(world.report(robots[0]))
@@ -342,7 +342,7 @@ def liar(world, records):
     with client(world, "router") as session:
         (stream, intervals), = held(session)["gateway"].items()
         text = f"{stream[0]}-{stream[1]}"
-        get = session.get(f"flockmap/7/4/@holder/gateway/get/{text}?_anyke", timeout=10.0,
+        get = session.get(f"flockmap/7/5/@holder/gateway/get/{text}?_anyke", timeout=10.0,
                           consolidation=zenoh.ConsolidationMode.NONE)
         sound = [(str(r.ok.key_expr).replace("flockmap/7/", "flockmap/9/"), r.ok.payload.to_bytes()) for r in get if r.ok]
         check(f"a stranger asks a gateway for all of a run: {len(sound)} packages", len(sound) > 100)
@@ -355,7 +355,7 @@ def liar(world, records):
                 more = "" if is_honest else ",1000000-4000000000"
                 said = {"digest": f"{is_honest}", "now_us": 0, "resolution_um": 100_000,
                         "streams": [{"origin": stream[0], "epoch": stream[1], "held": intervals + more}]}
-                query.reply("flockmap/9/4/@holder/liar/held", json.dumps(said))
+                query.reply("flockmap/9/5/@holder/liar/held", json.dumps(said))
                 return
             asked += 1
             if is_honest:
@@ -371,8 +371,8 @@ def liar(world, records):
                     bent[-1 - index % 40] ^= 1 << index % 8
                 query.reply(key, bytes(bent))
 
-        queryable = session.declare_queryable("flockmap/9/4/@holder/liar/**", answer)
-        token = session.liveliness().declare_token("flockmap/9/4/@holder/liar")
+        queryable = session.declare_queryable("flockmap/9/5/@holder/liar/**", answer)
+        token = session.liveliness().declare_token("flockmap/9/5/@holder/liar")
         start_station(world, "station", "--swarm", 9, *METRICS)
         wait_for("damaged packages", lambda: asked and world.counter("station", "robot_damaged") > 0, 60)
         time.sleep(30)
@@ -525,7 +525,7 @@ def disk(world, records):
         with client(world, "router") as session:
             wait_for("all that the robots have, in the archive", lambda: all_held(session, "archive", robots), 60)
             all_of_it = held(session)["archive"]
-            packages = sorted(str(r.ok.key_expr) for r in session.get("flockmap/7/4/**", timeout=30.0) if r.ok)
+            packages = sorted(str(r.ok.key_expr) for r in session.get("flockmap/7/5/**", timeout=30.0) if r.ok)
             print(f"      a full disk: {len(packages)} packages are told all the same")
             print("      " + world.said("archive", "store"))
             subprocess.run(["mount", "-o", "remount,size=64m", store], check=True)
@@ -567,9 +567,9 @@ def size(world, records):
     enter(world, "stranger")
     with client(world, "router") as session:
         said = json.dumps({"digest": "0", "now_us": 0, "resolution_um": 100_000, "streams": []})
-        first = session.declare_queryable("flockmap/7/4/@holder/first/**",
-                                          lambda query: query.reply("flockmap/7/4/@holder/first/held", said))
-        token = session.liveliness().declare_token("flockmap/7/4/@holder/first")
+        first = session.declare_queryable("flockmap/7/5/@holder/first/**",
+                                          lambda query: query.reply("flockmap/7/5/@holder/first/held", said))
+        token = session.liveliness().declare_token("flockmap/7/5/@holder/first")
         more = ["--config", os.environ["CONFIG"]] if "CONFIG" in os.environ else []
         start_archive(world, "archive", "--swarm", 7, *METRICS, *more)
         wait_for("the archive", lambda: "archive" in held(session), 30)

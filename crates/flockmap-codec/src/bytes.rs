@@ -125,6 +125,21 @@ pub(crate) const fn of_zigzag(value: u64) -> i64 {
     (value >> 1) as i64 ^ -((value & 1) as i64)
 }
 
+/// Most that each of three numbers in one varint can be.
+pub(crate) const THREE_MAX: u32 = (1 << 21) - 1;
+
+/// Appends three numbers, [`THREE_MAX`] at most, as one varint: bit by bit in turns, so that numbers alike in size
+/// take as few bytes as together they need.
+pub(crate) fn put_three(out: &mut Vec<u8>, numbers: [u32; 3]) {
+    let bit = |at: usize| u64::from(numbers[at % 3] >> (at / 3) & 1) << at;
+    put_varint(out, (0..63).map(bit).sum());
+}
+
+/// The three numbers in a varint, which has 63 bits.
+pub(crate) fn of_three(value: u64) -> [u32; 3] {
+    core::array::from_fn(|axis| (0..21).map(|at| ((value >> (3 * at + axis) & 1) as u32) << at).sum())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -143,6 +158,19 @@ mod tests {
             prop_assert_eq!(reader.varint(), Some(value));
             prop_assert_eq!(reader.zigzag(), Some(signed));
             prop_assert!(reader.is_empty());
+        }
+
+        #[test]
+        fn three_numbers_come_back_and_take_no_more_than_the_largest_asks_for(
+            numbers in prop::array::uniform3(0..=THREE_MAX),
+            shift in 0..21u32,
+        ) {
+            let numbers = numbers.map(|number| number >> shift);
+            let mut out = Vec::new();
+            put_three(&mut out, numbers);
+            prop_assert_eq!(Reader::new(&out).varint().map(of_three), Some(numbers));
+            let bits = numbers.map(|number| 32 - number.leading_zeros()).into_iter().max().unwrap_or(0);
+            prop_assert!(out.len() <= (3 * bits as usize).div_ceil(7).max(1));
         }
 
         #[test]

@@ -13,16 +13,11 @@ pub(crate) struct Deflater {
 impl Default for Deflater {
     /// Level 6, for packages.
     fn default() -> Self {
-        Self::with_level(6)
+        Self { state: Compress::new(Compression::new(6), true) }
     }
 }
 
 impl Deflater {
-    /// A level from 0, the fastest, to 9.
-    pub(crate) fn with_level(level: u32) -> Self {
-        Self { state: Compress::new(Compression::new(level), true) }
-    }
-
     /// Appends `input` as one zlib stream.
     pub(crate) fn deflate(&mut self, input: &[u8], out: &mut Vec<u8>) {
         self.state.reset();

@@ -9,7 +9,7 @@ use crate::check;
 use crate::codec::Codec;
 use crate::draft::BatchDraft;
 use crate::error::EncodeError;
-use crate::header::{ContentKind, Header};
+use crate::header::{ContentKind, Header, rounded_start};
 use crate::limits::PACKAGE_BYTES_MIN;
 use crate::package::Package;
 use crate::priority::Priority;
@@ -188,7 +188,7 @@ fn changes_header(codec: Codec, batch: &Batch, index: u32, region: VoxelBox) -> 
     Header {
         stream: batch.stream,
         index,
-        batch_start: batch.start,
+        batch_start: rounded_start(batch.start, batch.end),
         batch_end: batch.end,
         base: 0,
         is_independent: true,

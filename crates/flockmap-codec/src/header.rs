@@ -2,14 +2,14 @@
 
 use flockmap_grid::{Resolution, RobotId, Stamp, Stream, Voxel, VoxelBox, seconds_of_epoch};
 
-use crate::bytes::{put_varint, put_zigzag};
+use crate::bytes::{THREE_MAX, of_three, put_three, put_varint, put_zigzag};
 use crate::codec::Codec;
 use crate::error::PackageError;
 use crate::fields::Fields;
 use crate::limits::FORMAT_VERSION;
 use crate::priority::Priority;
 
-/// What a package says about itself: 25 to 35 bytes on the wire as a rule, with the check.
+/// What a package says about itself: 20 to 30 bytes on the wire as a rule, with the check.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Header {
     /// Whose observations these are.
@@ -17,7 +17,8 @@ pub struct Header {
     /// Changes: the number of this package in its stream, from 1. Snapshot: the newest package of the
     /// stream that is contained, together with all before it; from 1.
     pub index: u32,
-    /// Changes: when the batch began. Snapshot: the oldest stamp in the package. On the origin's clock.
+    /// Changes: when the batch began, some hundredths of a second before its end, rounded down. Snapshot: the oldest
+    /// stamp in the package. On the origin's clock.
     pub batch_start: Stamp,
     /// Changes: when the batch was closed; the stamp of every voxel in the package, the same in all packages
     /// of one batch. Snapshot: the newest stamp in the package. Never before `batch_start`.
@@ -131,8 +132,15 @@ impl Header {
         put_varint(out, u64::from(self.stream.origin.0));
         put_varint(out, self.stream.epoch);
         put_varint(out, u64::from(self.index));
-        put_zigzag(out, self.batch_end.0.wrapping_sub(epoch_micros(self.stream.epoch)));
-        put_varint(out, self.batch_end.0.wrapping_sub(self.batch_start.0) as u64);
+        let end = self.batch_end.0.wrapping_sub(epoch_micros(self.stream.epoch));
+        if self.content == ContentKind::Changes {
+            let is_whole = end % HUNDREDTH == 0;
+            put_varint(out, hundredths(self.batch_start, self.batch_end) << 1 | u64::from(is_whole));
+            put_zigzag(out, if is_whole { end / HUNDREDTH } else { end });
+        } else {
+            put_zigzag(out, end);
+            put_varint(out, self.batch_end.0.wrapping_sub(self.batch_start.0) as u64);
+        }
         put_varint(out, resolution_code(self.resolution));
         write_box(&self.region, unit, out);
         match self.content {
@@ -204,9 +212,20 @@ impl Header {
         if index == 0 {
             return Err(wrong("indices begin at 1"));
         }
-        let batch_end = Stamp(reader.signed("batch end")?.wrapping_add(epoch_micros(epoch)));
-        let duration = reader.number("batch duration", u64::MAX)?;
-        let batch_start = batch_end.0.checked_sub_unsigned(duration).map(Stamp);
+        let (end, duration) = if is_snapshot {
+            (reader.signed("batch end")?, Some(reader.number("batch duration", u64::MAX)?))
+        } else {
+            let duration = reader.number("batch duration", u64::MAX)?;
+            let end = reader.signed("batch end")?;
+            let end = if duration & 1 == 0 { Some(end) } else { end.checked_mul(HUNDREDTH) };
+            // There is one form of each.
+            let end = end.filter(|end| (end % HUNDREDTH == 0) == (duration & 1 == 1));
+            let end =
+                end.ok_or_else(|| wrong("a batch that ends at a whole hundredth of a second says so"))?;
+            (end, (duration >> 1).checked_mul(HUNDREDTH as u64))
+        };
+        let batch_end = Stamp(end.wrapping_add(epoch_micros(epoch)));
+        let batch_start = duration.and_then(|duration| batch_end.0.checked_sub_unsigned(duration)).map(Stamp);
         let batch_start =
             batch_start.ok_or_else(|| wrong("the batch starts within the range of 64-bit stamps"))?;
         let resolution = read_resolution(&mut reader)?;
@@ -299,15 +318,37 @@ fn epoch_micros(epoch: u64) -> i64 {
     i64::from(seconds_of_epoch(epoch)) * 1_000_000
 }
 
-/// Twice the millimetres where they are whole, else twice the micrometres and one.
+/// Microseconds.
+const HUNDREDTH: i64 = 10_000;
+
+/// So many hundredths of a second before its end a batch begins, rounded up as far as 64-bit stamps go.
+fn hundredths(start: Stamp, end: Stamp) -> u64 {
+    let micros = |from: i64| end.0.wrapping_sub(from) as u64;
+    micros(start.0).div_ceil(HUNDREDTH as u64).min(micros(i64::MIN) / HUNDREDTH as u64)
+}
+
+/// When a batch begins, as a package says it.
+pub(crate) fn rounded_start(start: Stamp, end: Stamp) -> Stamp {
+    Stamp(end.0.wrapping_sub((hundredths(start, end) * HUNDREDTH as u64) as i64))
+}
+
+/// Four times the centimetres where they are whole; four times the millimetres and two where these are; else twice
+/// the micrometres and one.
 fn resolution_code(resolution: Resolution) -> u64 {
-    let micrometres = u64::from(resolution.micrometres());
-    if micrometres.is_multiple_of(1_000) { micrometres / 1_000 * 2 } else { micrometres * 2 + 1 }
+    match u64::from(resolution.micrometres()) {
+        micrometres if micrometres.is_multiple_of(10_000) => micrometres / 10_000 * 4,
+        micrometres if micrometres.is_multiple_of(1_000) => micrometres / 1_000 * 4 + 2,
+        micrometres => micrometres * 2 + 1,
+    }
 }
 
 fn read_resolution(reader: &mut Fields<'_>) -> Result<Resolution, PackageError> {
     let code = reader.number("resolution", u64::from(u32::MAX))?;
-    let micrometres = if code & 1 == 0 { code / 2 * 1_000 } else { code / 2 };
+    let micrometres = match code & 3 {
+        0 => code / 4 * 10_000,
+        2 => code / 4 * 1_000,
+        _ => code / 2,
+    };
     u32::try_from(micrometres)
         .ok()
         .and_then(Resolution::from_micrometres)
@@ -322,7 +363,10 @@ fn is_in_blocks(region: &VoxelBox) -> bool {
     let min = region.min();
     let corner = [min.x, min.y, min.z];
     corner.iter().all(|corner| corner.rem_euclid(BLOCK_SIDE as i32) == 0)
-        && region.size().iter().all(|size| size.is_multiple_of(BLOCK_SIDE))
+        && region
+            .size()
+            .iter()
+            .all(|size| size.is_multiple_of(BLOCK_SIDE) && size / BLOCK_SIDE - 1 <= THREE_MAX)
 }
 
 /// Corner and size in `unit`s of voxels along each axis, of which the box is made.
@@ -331,8 +375,10 @@ fn write_box(region: &VoxelBox, unit: u32, out: &mut Vec<u8>) {
     for corner in [min.x, min.y, min.z] {
         put_zigzag(out, i64::from(corner).div_euclid(i64::from(unit)));
     }
-    for size in region.size() {
-        put_varint(out, u64::from((size / unit).saturating_sub(1)));
+    let less_one = region.size().map(|size| (size / unit).saturating_sub(1));
+    match unit {
+        BLOCK_SIDE => put_three(out, less_one),
+        _ => less_one.iter().for_each(|size| put_varint(out, u64::from(*size))),
     }
 }
 
@@ -343,9 +389,13 @@ fn read_box(reader: &mut Fields<'_>, unit: u32) -> Result<VoxelBox, PackageError
         *corner = i32::try_from(low).map_err(|_| BOX)?;
     }
     let mut size = [0u32; 3];
-    for size in &mut size {
-        let units = reader.number("box size", u64::from(u32::MAX) - 1)? + 1;
-        *size = units.checked_mul(u64::from(unit)).and_then(|size| u32::try_from(size).ok()).ok_or(BOX)?;
+    if unit == BLOCK_SIDE {
+        size =
+            of_three(reader.number("box size", (1 << 63) - 1)?).map(|less_one| (less_one + 1) * BLOCK_SIDE);
+    } else {
+        for size in &mut size {
+            *size = reader.number("box size", u64::from(u32::MAX) - 1)? as u32 + 1;
+        }
     }
     VoxelBox::new(Voxel::new(corner[0], corner[1], corner[2]), size).ok_or(BOX)
 }

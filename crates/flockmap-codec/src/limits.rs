@@ -1,7 +1,7 @@
 //! The numbers that bound a package.
 
 /// The version of the package format, the first byte of every package.
-pub const FORMAT_VERSION: u8 = 4;
+pub const FORMAT_VERSION: u8 = 5;
 
 /// Largest package that goes into one datagram: a datagram header and an authentication tag still fit beside
 /// it in 1,200 bytes of UDP payload, which no ordinary link fragments.

@@ -85,7 +85,7 @@ fn check(
         for at in order {
             let part = content(&mut decoder, &packages[at], &held).unwrap();
             if let Some(sensor) = packages[at].sensor() {
-                prop_assert_eq!(sensor, batch.sensor.map(|at| at & -4), "in quarters of a voxel");
+                prop_assert_eq!(sensor, batch.sensor.map(|at| at & -16 | 8), "in the middle of a voxel");
             }
             voxels += part.len();
             held.apply(&part, end);

@@ -62,12 +62,18 @@ fn with_box(package: &Package, size: [u32; 3]) -> Vec<u8> {
     varint(header.index.into(), &mut bytes);
     let since_epoch =
         header.batch_end.0 - i64::from(flockmap_grid::seconds_of_epoch(header.stream.epoch)) * 1_000_000;
-    varint((since_epoch as u64) << 1, &mut bytes);
-    varint(header.batch_end.micros_since(header.batch_start) as u64, &mut bytes);
-    varint(u64::from(header.resolution.micrometres()) / 1_000 * 2, &mut bytes);
+    let is_whole = since_epoch % 10_000 == 0;
+    let hundredths = header.batch_end.micros_since(header.batch_start) as u64 / 10_000;
+    varint(hundredths << 1 | u64::from(is_whole), &mut bytes);
+    varint((if is_whole { since_epoch / 10_000 } else { since_epoch } as u64) << 1, &mut bytes);
+    varint(u64::from(header.resolution.micrometres()) / 10_000 * 4, &mut bytes);
     bytes.extend([0, 0, 0]);
-    for side in size {
-        varint(u64::from(side.div_ceil(unit)) - 1, &mut bytes);
+    let less_one = size.map(|side| u64::from(side.div_ceil(unit)) - 1);
+    if unit == 8 {
+        // A bit of each in turns.
+        varint((0..63).map(|bit| (less_one[bit % 3] >> (bit / 3) & 1) << bit).sum(), &mut bytes);
+    } else {
+        less_one.into_iter().for_each(|side| varint(side, &mut bytes));
     }
     // No base, a check, a payload.
     bytes.extend([0; 5]);
@@ -201,8 +207,8 @@ fn voxels_far_apart_take_no_memory_between_them() {
             encoder.encode_batch(codec, &batch(), 1, &changes, PACKAGE_BYTES_MAX).unwrap();
             encoder.encode_snapshot(codec, stream(), 1, resolution(), &state, PACKAGE_BYTES_MAX).unwrap();
         });
-        // The tables of `flock` are unpacked once in a process: 1.4 MB.
-        assert!(peak < 2_000_000, "{codec}: {peak}");
+        // The tables of `flock` are unpacked once in a process: 2.3 MB, and as much again meanwhile.
+        assert!(peak < 5_000_000, "{codec}: {peak}");
     }
 }
 

@@ -100,7 +100,7 @@ fn unknown_versions_codecs_and_kinds_are_named() {
         bytes[at] = value;
         Package::parse(&bytes).unwrap_err().to_string()
     };
-    assert_eq!(with(0, 1), "package format version 1, this program reads version 4");
+    assert_eq!(with(0, 1), "package format version 1, this program reads version 5");
     assert_eq!(with(1, 0x07), "package codec 7 is not known; the sender may be newer");
     assert!(with(1, 0x1a).contains("chunks"), "{}, not a chunk of a snapshot", with(1, 0x1a));
     assert_eq!(with(1, 0x62), "package header: priorities are 0 to 2");

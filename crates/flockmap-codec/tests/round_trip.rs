@@ -290,7 +290,9 @@ fn chunks_of_flock_go_in_order_and_tell_where_the_sensor_was() {
         assert_eq!(decoder.decode_chunk(chunk, &mut before), missing(number + 1), "twice");
     }
     sensors.dedup();
-    assert_eq!(sensors, state.sensors);
+    // In the middle of a voxel.
+    let sent = state.sensors.iter().map(|(stamp, at)| (*stamp, at.map(|at| at & -16 | 8)));
+    assert_eq!(sensors, sent.collect::<Vec<_>>());
     assert_eq!(before.block_count(), changes.blocks().len());
 
     // After other chunks than its own a chunk says nothing.

@@ -14,7 +14,7 @@ use proptest::prelude::*;
 
 /// The most steps for a package of so many bytes, all of which are taken for payload.
 fn limit(package: &Package) -> u64 {
-    192 * package.bytes().len() as u64 + 6_144
+    224 * package.bytes().len() as u64 + 6_144
 }
 
 /// A box full of one state, of two in layers, or with few voxels far apart: what compresses best.
@@ -138,7 +138,7 @@ fn a_large_box_that_says_much_is_refused_before_a_voxel_is_looked_for() {
     let mut decoder = Decoder::new();
     for (byte, what) in [(0x00, "all Free"), (0x55, "all Occupied"), (0x44, "a checkerboard")] {
         let package = cube(160, byte);
-        let limit = 192 * payload_of(&package).len() as u64 + 6_144;
+        let limit = 224 * payload_of(&package).len() as u64 + 6_144;
         let error = decoder.decode(&package).unwrap_err();
         let payload = payload_of(&package).len();
         assert_eq!(error, PackageError::Work { codec: Codec::Paper, payload, limit }, "{what}");

@@ -42,7 +42,13 @@ pub trait CodeBit {
     const KNOWS: bool;
 
     /// Passes a bit, which is set with this probability; the probability learns by one in 2ʳᵃᵗᵉ.
-    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool;
+    #[inline(always)]
+    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool {
+        self.code_as(*probability, probability, truth, rate)
+    }
+
+    /// The same, where the bit is set with another probability than the one that learns.
+    fn code_as(&mut self, likely: Probability, learns: &mut Probability, truth: bool, rate: u32) -> bool;
 
     /// The same direction.
     type Own<'b>: CodeBit
@@ -76,6 +82,7 @@ impl<'a> BitWriter<'a> {
     }
 
     /// Writes a bit that is set with this probability.
+    #[inline(always)]
     pub fn put(&mut self, probability: Probability, bit: bool) {
         self.take((self.range >> 16) * u64::from(probability), bit);
     }
@@ -155,14 +162,14 @@ impl CodeBit for BitWriter<'_> {
     const KNOWS: bool = true;
 
     #[inline(always)]
-    fn code(&mut self, probability: &mut Probability, truth: bool, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*probability);
+    fn code_as(&mut self, likely: Probability, learns: &mut Probability, truth: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(likely);
         // Two branches, as in reading.
         if truth {
-            learn(probability, true, rate);
+            learn(learns, true, rate);
             self.take(share, true);
         } else {
-            learn(probability, false, rate);
+            learn(learns, false, rate);
             self.take(share, false);
         }
         truth
@@ -228,6 +235,7 @@ impl<'a> BitReader<'a> {
     }
 
     /// The next bit, which was written with this probability.
+    #[inline(always)]
     pub fn get(&mut self, probability: Probability) -> bool {
         self.take((self.range >> 16) * u64::from(probability))
     }
@@ -262,17 +270,17 @@ impl<'a> CodeBit for BitReader<'a> {
     /// Two branches for the two bits, which leaves it to the processor to guess the bit and go on; choosing
     /// values by the bit would have to wait for it.
     #[inline(always)]
-    fn code(&mut self, probability: &mut Probability, _: bool, rate: u32) -> bool {
-        let share = (self.range >> 16) * u64::from(*probability);
+    fn code_as(&mut self, likely: Probability, learns: &mut Probability, _: bool, rate: u32) -> bool {
+        let share = (self.range >> 16) * u64::from(likely);
         if self.code < share {
             self.range = share;
-            learn(probability, true, rate);
+            learn(learns, true, rate);
             self.refill();
             true
         } else {
             self.code -= share;
             self.range -= share;
-            learn(probability, false, rate);
+            learn(learns, false, rate);
             self.refill();
             false
         }

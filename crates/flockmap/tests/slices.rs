@@ -318,6 +318,8 @@ fn what_waited_for_a_chunk_is_merged_some_in_each_call() {
         b.handle_timeout(now);
     }
     assert!(calls.iter().sum::<usize>() > 100, "{calls:?}");
+    // The last may find that there is nothing more.
+    calls.pop_if(|merged| *merged == 0);
     assert!(calls.iter().all(|merged| (1..=16).contains(merged)), "{calls:?}");
     catch_up(&mut a, &mut b, &mut now);
 }

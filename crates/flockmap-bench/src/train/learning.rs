@@ -9,80 +9,69 @@ use flockmap_codec::training::{self, ROUNDS, Trainer};
 use super::recording::{Closing, Recording};
 use super::scenes::Scans;
 
-/// Batches that are learned from, of each recording with all changes together, at even distances: those of a
-/// minute, so that a longer flight does not outweigh the others. With a third of them packages became 0.2 to
-/// 0.5 % larger.
-const BATCHES_TOGETHER: usize = 120;
-/// The same of recordings whose obstacles go ahead. Such a batch has a few voxels in place of thousands, and
-/// there are five times as many.
-const BATCHES_OF_OBSTACLES: usize = 600;
-
 /// The file of the tables. The same bytes whatever the number of threads.
 pub fn tables(recordings: &[Recording], threads: usize) -> Vec<u8> {
-    let progress = Progress::new("rounds of learning", 3 * ROUNDS as u64);
-    // In the order of the file.
-    let kinds = [Some(Scans::Dense), Some(Scans::Sparse), None];
-    let sets = in_parallel(threads, kinds, |scans| learn(&samples(recordings, scans), &progress).tables());
+    let progress = Progress::new("rounds of learning", (training::SETS.len() * ROUNDS) as u64);
+    let sets =
+        in_parallel(threads, 0..training::SETS.len(), |set| learn(set, recordings, &progress).tables());
     training::file(&sets)
 }
 
-/// A recording, and which of its batches to learn from.
-struct Sample<'a> {
-    recording: &'a Recording,
-    /// Ascending.
-    chosen: Vec<usize>,
+/// Whether a set is learned from a batch.
+fn is_of_set(set: usize, recording: &Recording, changes: &Changes) -> bool {
+    let is_of_obstacles = changes.blocks().iter().all(|(_, states)| *states.free() == [0; 8]);
+    let is_ahead = recording.closing == Closing::ObstaclesAhead;
+    match training::SETS[set] {
+        "obstacles" => is_ahead && is_of_obstacles,
+        "dense" => recording.scans == Scans::Dense && !is_ahead && !is_of_obstacles,
+        "free" => recording.scans == Scans::Dense && is_ahead && !is_of_obstacles,
+        _ => recording.scans == Scans::Sparse && !is_of_obstacles,
+    }
 }
 
-/// What to learn a set from. `None`: batches of obstacles from all scans.
-fn samples(recordings: &[Recording], scans: Option<Scans>) -> Vec<Sample<'_>> {
-    let (closing, wanted) = match scans {
-        Some(_) => (Closing::Together, BATCHES_TOGETHER),
-        None => (Closing::ObstaclesAhead, BATCHES_OF_OBSTACLES),
-    };
-    let fits = |recording: &&Recording| {
-        recording.closing == closing && scans.is_none_or(|scans| scans == recording.scans)
-    };
-    let sample = |recording| Sample { recording, chosen: choose(recording, scans.is_none(), wanted) };
-    recordings.iter().filter(fits).map(sample).collect()
-}
-
-/// At most `wanted` batches at even distances, of those that hold only obstacles, or of the others.
-fn choose(recording: &Recording, of_obstacles: bool, wanted: usize) -> Vec<usize> {
-    let batches = recording.batches.iter().enumerate();
-    let fitting: Vec<usize> = batches
-        .filter(|(_, (_, changes))| is_of_obstacles(changes) == of_obstacles)
-        .map(|(number, _)| number)
-        .collect();
-    let count = wanted.min(fitting.len());
-    (0..count).map(|n| fitting[(2 * n + 1) * fitting.len() / (2 * count)]).collect()
-}
-
-fn is_of_obstacles(changes: &Changes) -> bool {
-    changes.blocks().iter().all(|(_, states)| states.free().iter().all(|plane| *plane == 0))
-}
-
-fn learn(samples: &[Sample<'_>], progress: &Progress) -> Trainer {
-    let mut trainer = Trainer::new();
+fn learn(set: usize, recordings: &[Recording], progress: &Progress) -> Trainer {
+    let mut trainer = Trainer::new(set);
     for _ in 0..ROUNDS {
-        for Sample { recording, chosen } in samples {
-            let mut chosen = chosen.iter().copied().peekable();
-            // What those who receive the robot hold before each batch. Nothing after the last chosen batch
-            // matters.
-            let mut layer = Layer::default();
-            for (number, (batch, changes)) in recording.batches.iter().enumerate() {
-                if chosen.next_if_eq(&number).is_some() {
-                    trainer.learn(&layer, batch, changes);
-                }
-                if chosen.peek().is_none() {
-                    break;
-                }
-                layer.apply(changes, batch.end);
-            }
+        // One batch of each recording in turns: what is learned last counts most, and should be of all.
+        let mut receivers: Vec<_> =
+            recordings.iter().map(|recording| Receiver::new(set, recording)).collect();
+        while !receivers.is_empty() {
+            receivers.retain_mut(|receiver| receiver.learn(&mut trainer));
         }
         trainer.end_round();
         progress.step();
     }
     trainer
+}
+
+/// What those who receive the robot of a recording hold.
+struct Receiver<'a> {
+    set: usize,
+    recording: &'a Recording,
+    layer: Layer,
+    /// Batches that are in the layer.
+    held: usize,
+}
+
+impl<'a> Receiver<'a> {
+    fn new(set: usize, recording: &'a Recording) -> Self {
+        Self { set, recording, layer: Layer::default(), held: 0 }
+    }
+
+    /// Goes on to the next batch of its set and learns from it. Whether there was one.
+    fn learn(&mut self, trainer: &mut Trainer) -> bool {
+        let left = &self.recording.batches[self.held..];
+        let fits = |(_, changes): &(_, Changes)| is_of_set(self.set, self.recording, changes);
+        let Some(before) = left.iter().position(fits) else { return false };
+        for (batch, changes) in &left[..before] {
+            self.layer.apply(changes, batch.end);
+        }
+        let (batch, changes) = &left[before];
+        trainer.learn(&self.layer, batch, changes);
+        self.layer.apply(changes, batch.end);
+        self.held += before + 1;
+        true
+    }
 }
 
 #[cfg(test)]
@@ -111,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn chosen_batches_are_of_one_kind_and_spread_over_the_recording() {
+    fn a_set_is_learned_from_the_batches_of_its_kind() {
         let batch = |number: i64| {
             let states = [State::Occupied, if number % 3 == 0 { State::Free } else { State::Occupied }];
             let voxels = states.into_iter().enumerate().map(|(x, state)| (Voxel::new(x as i32, 0, 0), state));
@@ -124,11 +113,15 @@ mod tests {
             };
             (batch, Changes::from_voxels(voxels))
         };
-        let batches = (0..24).map(batch).collect();
-        let recording = Recording { scans: Scans::Dense, closing: Closing::Together, batches };
-        assert_eq!(choose(&recording, false, 100), [0, 3, 6, 9, 12, 15, 18, 21]);
-        assert_eq!(choose(&recording, false, 2), [6, 18]);
-        assert_eq!(choose(&recording, true, 4), [4, 10, 16, 22]);
-        assert_eq!(choose(&recording, true, 0), [0; 0]);
+        let batches: Vec<_> = (1..24).map(batch).collect();
+        let learned = |set: usize, scans, closing| {
+            let recording = Recording { scans, closing, batches: batches.clone() };
+            batches.iter().filter(|(_, changes)| is_of_set(set, &recording, changes)).count()
+        };
+        let of_all = |scans, closing| [0, 1, 2, 3].map(|set| learned(set, scans, closing));
+        assert_eq!(of_all(Scans::Dense, Closing::Together), [7, 0, 0, 0]);
+        assert_eq!(of_all(Scans::Sparse, Closing::Together), [0, 7, 0, 0]);
+        assert_eq!(of_all(Scans::Dense, Closing::ObstaclesAhead), [0, 0, 16, 7]);
+        assert_eq!(of_all(Scans::Sparse, Closing::ObstaclesAhead), [0, 7, 16, 0]);
     }
 }

@@ -85,7 +85,7 @@ fn differences(made: &[u8]) -> anyhow::Result<Option<String>> {
         sets.push(format!("{name}: {different} of {} bytes differ", new.len()));
     }
     let cause = if old == new {
-        "The tables are equal, their compression is not: the zlib library has changed."
+        "The tables are equal, their compression is not: `zopfli` has changed."
     } else {
         "The scenes, the simulator, the mapper or the model have changed since they were made."
     };

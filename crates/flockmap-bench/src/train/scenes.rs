@@ -7,7 +7,7 @@ use flockmap_worlds::Lidar;
 
 use crate::place::Place;
 
-/// How much of what is there a scan hits: each has a set of tables of its own.
+/// How much of what is there a scan hits.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Scans {
     /// So many rays for each voxel that neighbours are seen together.
@@ -83,8 +83,10 @@ const SPARSE: Scene = Scene {
 /// All scenes. Those that take longest come first, so that no thread is left with one of them at the end.
 pub const SCENES: &[Scene] = &[
     Scene { sizes: &[COARSE_OUTDOOR, FINE_OUTDOOR], ..SPARSE },
+    Scene { seed: 14, sizes: &[COARSE_OUTDOOR, FINE_OUTDOOR], ..SPARSE },
     // The roof of a car: many rays, a scan every two seconds.
     Scene { seed: 11, lidar: Lidar::Os128, drop_out: 0.4, every: 20, sizes: &[CAR], ..SPARSE },
+    Scene { seed: 15, lidar: Lidar::Os128, drop_out: 0.4, every: 20, sizes: &[CAR], ..SPARSE },
     Scene { seed: 8, sight_m: 30.0, sizes: &[COARSE], ..DENSE },
     DENSE,
     Scene { lidar: Lidar::Avia, ..DENSE },
@@ -95,6 +97,10 @@ pub const SCENES: &[Scene] = &[
     Scene { place: Place::Indoor, lidar: Lidar::Avia, ..DENSE },
     Scene { place: Place::Indoor, seed: 8, ..DENSE },
     Scene { place: Place::Indoor, seed: 8, lidar: Lidar::Avia, ..DENSE },
+    Scene { seed: 12, ..DENSE },
+    Scene { seed: 13, lidar: Lidar::Avia, ..DENSE },
+    Scene { place: Place::Indoor, seed: 12, ..DENSE },
+    Scene { place: Place::Indoor, seed: 13, lidar: Lidar::Avia, ..DENSE },
 ];
 
 impl core::fmt::Display for Scene {

@@ -1,11 +1,11 @@
 //! A batch as payloads: with the model, or gap coded where that is shorter.
 
-use flockmap_grid::{Changes, Layer, Stamp, VoxelBox, meet};
+use flockmap_grid::{Changes, Layer, Plane, Stamp, VoxelBox, meet};
 
 use super::block_box::{BOX_BLOCKS_MAX, BlockBox};
 use super::gap_coding;
 use super::habits::Habits;
-use super::head::{Head, whole};
+use super::head::{GAP_CODED, Head, as_sent};
 use super::known::Known;
 use super::order;
 use super::section::{self, Workspace};
@@ -17,10 +17,6 @@ use crate::fields::Fields;
 use crate::limits::BOX_VOXELS_MAX;
 use crate::source::Batch;
 use crate::work::{self, Work};
-
-/// The first byte of a payload that is gap coded. Others name a set of tables, of which there is none with
-/// this number.
-const GAP_CODED: u8 = 3;
 
 /// Up to so many changes the model is tried even if there seems to be no pattern.
 const TRY_BOTH_MAX: usize = 4_096;
@@ -75,9 +71,12 @@ fn modelled(
     changes: &Changes,
     room: impl Fn(usize, &VoxelBox) -> usize,
 ) -> Result<Vec<BatchDraft>, EncodeError> {
-    let sensor = whole(sensor);
-    let is_obstacles = changes.blocks().iter().all(|(_, block)| *block.free() == [0; 8]);
-    let sets: &[_] = if is_obstacles { &[TableSet::Obstacles] } else { &[TableSet::Dense, TableSet::Sparse] };
+    let sensor = as_sent(sensor);
+    let sets: &[_] = match count_of(changes) {
+        [0, _] => &[TableSet::Obstacles],
+        [free, occupied] if free / FREE_EACH >= occupied => &[TableSet::Free, TableSet::Sparse],
+        _ => &[TableSet::Dense, TableSet::Sparse],
+    };
     let mut habits = Habits::new(sets);
     let blocks = order::in_order(changes, sensor);
     let mut rest = blocks.as_slice();
@@ -98,6 +97,18 @@ fn modelled(
         }
     }
     Ok(drafts)
+}
+
+/// Free voxels for each Occupied one from which a batch is one of free space. With all changes together there are 2 to 32
+/// of them, where obstacles went ahead 64 to 1,000.
+const FREE_EACH: usize = 40;
+
+/// How many changes are to Free, and to Occupied.
+fn count_of(changes: &Changes) -> [usize; 2] {
+    let count = |plane: &Plane| plane.iter().map(|slice| slice.count_ones() as usize).sum::<usize>();
+    changes.blocks().iter().fold([0; 2], |[free, occupied], (_, block)| {
+        [free + count(block.free()), occupied + count(block.occupied())]
+    })
 }
 
 fn gap_coded(changes: &Changes, room: impl Fn(usize, &VoxelBox) -> usize) -> Vec<BatchDraft> {

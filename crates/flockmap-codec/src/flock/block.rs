@@ -5,13 +5,16 @@
 //! change is a decision with two contexts: the cells around it, and the cells along the ray from the sensor
 //! through it. Where nothing has changed beyond a slice, one decision is for its 64 voxels.
 
+use fearless_simd::Simd;
+
 use super::cells::{Bits, Row, STATES, free, new, occupied, unknown};
 use super::decide::{Decide, RowKind, UnknownRow};
+use super::flag_contexts::{self, MixedFlag, Slice};
 use super::known::KnownClasses;
 use super::neighbourhood::{Neighbourhood, ROW, SLICE, middle};
 use super::orientation::{Distance, TurnedChanges};
-use super::planes::swapped_in_word;
 use super::rays::Rays;
+use super::voxel_contexts::RowContexts;
 
 // Contexts of flags. The first 2,268 are for the flag of a block, see `flags.rs`.
 const FREE_TO_OCCUPIED_IN_BLOCK: usize = 2_300;
@@ -28,7 +31,9 @@ const COLD_SLICE: usize = 2_640;
 /// Makes the decisions of a block that has changes; `truth` is what a writer has to say, and `flips`
 /// whether any Free voxel becomes Occupied by it and any Occupied one Free. Returns what was coded, and leaves
 /// it in `cells`.
-pub(crate) fn code<D: Decide>(
+#[inline(always)]
+pub(crate) fn code<S: Simd, D: Decide>(
+    simd: S,
     decide: &mut D,
     cells: &mut Neighbourhood,
     distance: Distance,
@@ -40,6 +45,7 @@ pub(crate) fn code<D: Decide>(
     let to_occupied = before.free != 0 && decide.flag(FREE_TO_OCCUPIED_IN_BLOCK + class, flips[0]);
     let to_free = before.occupied != 0 && decide.flag(OCCUPIED_TO_FREE_IN_BLOCK + class, flips[1]);
     let mut block = Block {
+        simd,
         decide,
         cells,
         coded: TurnedChanges::default(),
@@ -71,7 +77,8 @@ pub(crate) fn code<D: Decide>(
     block.coded
 }
 
-struct Block<'a, D> {
+struct Block<'a, S, D> {
+    simd: S,
     decide: &'a mut D,
     cells: &'a mut Neighbourhood,
     coded: TurnedChanges,
@@ -82,9 +89,9 @@ struct Block<'a, D> {
     is_expected: bool,
 }
 
-impl<D: Decide> Block<'_, D> {
+impl<S: Simd, D: Decide> Block<'_, S, D> {
     /// Whether a slice has no changes, if nothing beyond it has.
-    #[inline]
+    #[inline(always)]
     fn is_quiet(&mut self, z: usize, truth: &TurnedChanges) -> bool {
         let at = Neighbourhood::place(0, z);
         let row = |at: usize| self.cells.row(at);
@@ -116,11 +123,18 @@ impl<D: Decide> Block<'_, D> {
                 + 8 * usize::from(self.is_surprised)
         };
         let class = class * 3 + usize::from(unknown_rows > 2) + usize::from(unknown_rows > 5);
-        self.is_expected = self.decide.flag(COLD_SLICE + class, (truth.free[z] | truth.occupied[z]) != 0);
+        let changed = (0..z).filter(|z| (self.coded.free[*z] | self.coded.occupied[*z]) != 0).count();
+        let slice =
+            Slice { rows: [own, over, under], unknown_rows, z, changed, distance: self.rays.distance[2] };
+        let has_changes = (truth.free[z] | truth.occupied[z]) != 0;
+        let places = || slice.places(class);
+        self.is_expected =
+            self.decide.mixed_flag(MixedFlag::ColdSlice, COLD_SLICE + class, places, has_changes);
         !self.is_expected
     }
 
     /// Free voxels in which an obstacle appeared.
+    #[inline(always)]
     fn free_to_occupied(&mut self, at: usize, own: Row, truth: Bits) {
         let voxels = free(own);
         let row = |at: usize| self.cells.row(at);
@@ -128,7 +142,10 @@ impl<D: Decide> Block<'_, D> {
         let class = usize::from(occupied(around) != 0)
             + 2 * usize::from(occupied(own) != 0)
             + 4 * usize::from(new(around) != 0);
-        if !self.decide.flag(FREE_TO_OCCUPIED_IN_ROW + class, truth.occupied & voxels != 0) {
+        let cells = &*self.cells;
+        let places = || flag_contexts::of_row(cells, at, voxels, class);
+        let may = truth.occupied & voxels != 0;
+        if !self.decide.mixed_flag(MixedFlag::FreeToOccupied, FREE_TO_OCCUPIED_IN_ROW + class, places, may) {
             return;
         }
         for bit in bits_of(voxels) {
@@ -158,12 +175,15 @@ impl<D: Decide> Block<'_, D> {
     }
 
     /// Unknown voxels that were seen.
-    #[inline]
+    #[inline(always)]
     fn unknown(&mut self, at: usize, own: Row, truth: Bits) {
         let voxels = unknown(own);
         let kind = match self.row_class(at, own, voxels) {
             RowClass::Cold(class) => {
-                if !self.decide.flag(COLD_ROW + class, (truth.free | truth.occupied) & voxels != 0) {
+                let cells = &*self.cells;
+                let places = || flag_contexts::of_row(cells, at, voxels, class);
+                let is_seen = (truth.free | truth.occupied) & voxels != 0;
+                if !self.decide.mixed_flag(MixedFlag::ColdRow, COLD_ROW + class, places, is_seen) {
                     return;
                 }
                 self.is_surprised = true;
@@ -179,12 +199,12 @@ impl<D: Decide> Block<'_, D> {
             }
             RowClass::Hot => RowKind::Ordinary,
         };
-        let row = self.contexts(at, voxels, kind);
-        let coded = self.decide.row(&row, truth);
+        let contexts = RowContexts::of(self.simd, self.cells, at, &self.rays);
+        let coded = self.decide.row(UnknownRow { voxels, kind, contexts }, truth);
         self.note(at, coded);
     }
 
-    #[inline]
+    #[inline(always)]
     fn row_class(&self, at: usize, own: Row, voxels: u8) -> RowClass {
         let row = |at: usize| self.cells.row(at);
         let fresh = row(at);
@@ -219,49 +239,7 @@ impl<D: Decide> Block<'_, D> {
         RowClass::Hot
     }
 
-    /// The unknown voxels of a row with their contexts.
-    #[inline]
-    fn contexts(&self, at: usize, voxels: u8, kind: RowKind) -> UnknownRow {
-        let slope_y = self.rays.slope_y((at & 15).wrapping_sub(3));
-        let slope_x = self.rays.slope_x;
-        // Rows and voxels back along the axis on which the sensor is farther away, and along the other.
-        let (b, c) = if self.rays.is_by_rows { ((ROW, 0), (0, 1)) } else { ((0, 1), (ROW, 0)) };
-        let (slope_b, slope_c) = if self.rays.is_by_rows { (slope_y, slope_x) } else { (slope_x, slope_y) };
-
-        let behind = |rows: usize, x: isize| self.cells.shifted(at - rows, -x) & STATES;
-        let before = |rows: usize, x: isize| self.cells.shifted(at + rows, x);
-        // Where the ray through a voxel was some slices before, or will be some after.
-        let along = |slope: usize, slices: usize| (slices * slope + 8) >> 4;
-        let ray =
-            |slices: usize| (slices * SLICE + along(slope_y, slices) * ROW, along(slope_x, slices) as isize);
-        let [ray_1, ray_2, ray_3] = [ray(1), ray(2), ray(3)];
-        let is_known = |row: Row| (row | row >> 16) & 0xff;
-        let pair = |one: Row, other: Row| one | other << 8;
-        let next = before(ray_1.0, ray_1.1);
-
-        let near_low = pair(behind(SLICE, 0), behind(SLICE + b.0, b.1))
-            | pair(behind(SLICE + c.0, c.1), behind(SLICE + ROW, 1)) << 32;
-        let near_high = pair(behind(b.0, b.1), behind(c.0, c.1))
-            | u64::from(new(self.cells.shifted(at - ROW, -1))) << 32
-            | is_known(next) << 40;
-        let ray_low = pair(behind(ray_1.0, ray_1.1), behind(ray_2.0, ray_2.1))
-            | pair(behind(ray_3.0, ray_3.1), next & STATES) << 32;
-        let ray_high = is_known(before(ray_2.0, ray_2.1)) << 32
-            | is_known(before(b.0, b.1)) << 40
-            | is_known(before(c.0, c.1)) << 48;
-        let straight = u8::from(slope_b >= 8) | u8::from(slope_c >= 8) << 1;
-        let slope = (slope_b / 4).min(3) as u8 | ((slope_c / 4).min(3) as u8) << 2;
-        UnknownRow {
-            voxels,
-            kind,
-            near: by_voxel(near_low, near_high, straight << 6),
-            ray: by_voxel(ray_low, ray_high, slope),
-            // The two bits of a state stand two apart.
-            beside: if self.rays.is_by_rows { [1 << 1, 5 << 1] } else { [1, 5] },
-        }
-    }
-
-    #[inline]
+    #[inline(always)]
     fn note(&mut self, at: usize, bits: Bits) {
         self.cells.change(at, bits);
         let (z, shift) = ((at >> 4).wrapping_sub(3) & 7, 8 * ((at & 15).wrapping_sub(3) & 7));
@@ -273,14 +251,6 @@ impl<D: Decide> Block<'_, D> {
 /// The bits that are set, one at a time.
 fn bits_of(byte: u8) -> impl Iterator<Item = u8> {
     (0..8).map(|x| 1 << x).filter(move |bit| byte & bit != 0)
-}
-
-/// For each of eight voxels: its bits in eight bytes, and in eight others, those that are the same for all
-/// added.
-#[inline(always)]
-fn by_voxel(low: u64, high: u64, all: u8) -> [[u8; 8]; 2] {
-    let all = u64::from(all) * 0x0101_0101_0101_0101;
-    [swapped_in_word(low).to_le_bytes(), (swapped_in_word(high) | all).to_le_bytes()]
 }
 
 enum RowClass {

@@ -6,12 +6,16 @@ use flockmap_grid::BaseSuperseded;
 use super::block_box::BlockBox;
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::flag_contexts::{FLAG_PLACES, MixedFlag};
 use super::known::Known;
 use super::log2::log2;
+use super::mixing;
 use super::model::Model;
 use super::order::Changed;
 use super::orientation::Orientation;
-use super::tables::{TableSet, Tables, voxel_probability};
+use super::tables::{Question, TableSet, Tables, voxel_probability};
+use super::voxel_contexts::VoxelContexts;
+use fearless_simd::Simd;
 use flockmap_coder::Probability;
 
 /// Blocks that are looked at: so many from the front and so many from the middle, at most one in
@@ -22,6 +26,10 @@ const SAMPLE_PART: usize = 6;
 const SAMPLE_RUN: usize = 4;
 /// Bits by which a set has to be ahead to be taken before all of them are looked at.
 const LEAD_BITS: u64 = 32;
+/// Dense tables have to be ahead by one part in so many of what they cost.
+const DENSE_PART: u64 = 32;
+/// The same of those of free space.
+const FREE_PART: u64 = 8;
 
 /// The set with which some of `blocks` take the fewest bits; as few as are needed to choose.
 pub(crate) fn choose(
@@ -45,8 +53,7 @@ pub(crate) fn choose(
             model.code(&mut trial, known, *index, view, classes, Some(states))?;
         }
     }
-    let best = trial.sets.iter().min_by_key(|(cost, ..)| *cost);
-    Ok(best.map_or(TableSet::Dense, |(_, set, _)| *set))
+    Ok(trial.best().0)
 }
 
 /// Some of the blocks of a batch, to be looked at in this order.
@@ -72,11 +79,29 @@ struct Trial {
 }
 
 impl Trial {
+    /// The set that looks best, and by how many 256ths of a bit it is ahead of the next one.
+    fn best(&self) -> (TableSet, u64) {
+        // What is behind the blocks of a sample is not coded, and without that dense scans look likelier than they
+        // are.
+        let handicap = |cost, set| match set {
+            TableSet::Dense => cost + cost / DENSE_PART,
+            TableSet::Free => cost + cost / FREE_PART,
+            TableSet::Sparse | TableSet::Obstacles => cost,
+        };
+        let mut costs: Vec<_> =
+            self.sets.iter().map(|(cost, set, _)| (handicap(*cost, *set), *set)).collect();
+        costs.sort_by_key(|(cost, _)| *cost);
+        match costs[..] {
+            [(_, only)] => (only, u64::MAX),
+            [(best, set), (next, _), ..] => (set, next - best),
+            [] => (TableSet::Dense, u64::MAX),
+        }
+    }
+
     /// Whether one set is ahead by so much that more blocks would hardly change it; it is if there is but
     /// one.
     fn is_decided(&self) -> bool {
-        let best = self.sets.iter().map(|(cost, ..)| *cost).min().unwrap_or(0);
-        self.sets.iter().filter(|(cost, ..)| *cost < best + LEAD_BITS * 256).count() == 1
+        self.best().1 >= LEAD_BITS * 256
     }
 
     fn pay(&mut self, bit: bool, probability: impl Fn(&Tables) -> Probability) {
@@ -93,21 +118,46 @@ impl Decide for Trial {
         truth
     }
 
-    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+    fn mixed_flag(
+        &mut self,
+        flag: MixedFlag,
+        context: usize,
+        places: impl FnOnce() -> [usize; FLAG_PLACES],
+        truth: bool,
+    ) -> bool {
+        let places = places();
+        self.pay(truth, |tables| {
+            at_start(tables, tables.start.flag[context], || tables.flag_sum(flag, places))
+        });
+        truth
+    }
+
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }
 
 impl DecideVoxel for Trial {
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.voxel[voxel_probability(kind, tables.voxel.of(contexts))]);
+    fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        self.pay(truth, |tables| {
+            let level = voxel_probability(kind, tables.level(Question::Seen, contexts));
+            at_start(tables, tables.start.voxel[level], || tables.sum(Question::Seen, contexts))
+        });
         truth
     }
 
-    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
-        self.pay(truth, |tables| tables.start.kind[usize::from(tables.kind.of(contexts))]);
+    fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        self.pay(truth, |tables| {
+            let level = usize::from(tables.level(Question::Kind, contexts));
+            at_start(tables, tables.start.kind[level], || tables.sum(Question::Kind, contexts))
+        });
         truth
     }
+}
+
+/// What becomes of a probability that packages begin with.
+fn at_start(tables: &Tables, probability: Probability, sum: impl FnOnce() -> i32) -> Probability {
+    if tables.is_sure(probability) { probability } else { mixing::at_start(probability, sum()) }
 }
 
 /// What a bit of this probability (in 256ths) costs, in 256ths of a bit.

@@ -2,10 +2,14 @@
 
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
+use super::flag_contexts::{FLAG_PLACES, MIXED_FLAGS, MixedFlag};
+use super::mixing::{self, Lesson, START, Weights};
 use super::tables::{
-    KIND_PROBABILITIES, Levels, Probabilities, Tables, VOXEL_PROBABILITIES, voxel_probability,
+    KIND_PROBABILITIES, Probabilities, Question, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
+use super::voxel_contexts::VoxelContexts;
 use crate::work;
+use fearless_simd::Simd;
 use flockmap_coder::{CodeBit, Probability};
 
 /// How fast a probability follows what happens: a step of one in 2ⁿ.
@@ -18,34 +22,71 @@ const FLAG_RATE: u32 = 6;
 pub(crate) struct Coding<'a, B> {
     probabilities: &'a mut Probabilities,
     tables: &'static Tables,
+    weights: AllWeights,
     pub(crate) bits: B,
     /// Steps of work for those that have been made.
     pub(crate) steps: u64,
 }
 
+/// The weights of each sort of decision that is mixed.
+struct AllWeights {
+    voxel: Weights,
+    kind: Weights,
+    row: [Weights; MIXED_FLAGS],
+}
+
 impl<'a, B> Coding<'a, B> {
     pub(crate) fn new(tables: &'static Tables, probabilities: &'a mut Probabilities, bits: B) -> Self {
         probabilities.clone_from(&tables.start);
-        Self { probabilities, tables, bits, steps: 0 }
+        let weights = AllWeights { voxel: START, kind: START, row: [START; MIXED_FLAGS] };
+        Self { probabilities, tables, weights, bits, steps: 0 }
     }
 }
 
 impl<B: CodeBit> Decide for Coding<'_, B> {
     const KNOWS: bool = B::KNOWS;
 
-    #[inline]
+    #[inline(always)]
     fn flag(&mut self, context: usize, truth: bool) -> bool {
         self.steps += work::DECISION_STEPS;
         self.bits.code(&mut self.probabilities.flag[context], truth, FLAG_RATE)
     }
 
-    #[inline]
-    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+    #[inline(always)]
+    fn mixed_flag(
+        &mut self,
+        flag: MixedFlag,
+        context: usize,
+        places: impl FnOnce() -> [usize; FLAG_PLACES],
+        truth: bool,
+    ) -> bool {
+        self.steps += work::DECISION_STEPS;
+        let probability = &mut self.probabilities.flag[context];
+        if self.tables.is_sure(*probability) {
+            return self.bits.code(probability, truth, FLAG_RATE);
+        }
+        let sum = self.tables.flag_sum(flag, places());
+        let weights = &mut self.weights.row[flag as usize];
+        let mut lesson = Lesson::default();
+        let bit = mixing::code(&mut self.bits, probability, sum, weights, &mut lesson, truth, FLAG_RATE);
+        weights.learn(lesson);
+        bit
+    }
+
+    #[inline(always)]
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
+        let count = row.voxels.count_ones();
         let Probabilities { voxel, kind, .. } = &mut *self.probabilities;
-        let levels = [&*self.tables.voxel, &self.tables.kind];
-        let coded =
-            self.bits.in_registers(|bits| voxels(&mut RowCoding { voxel, kind, levels, bits }, row, truth));
-        let made = row.voxels.count_ones() + (coded.free | coded.occupied).count_ones();
+        let (tables, weights) = (self.tables, [self.weights.voxel, self.weights.kind]);
+        let (coded, [of_voxel, of_kind]) = self.bits.in_registers(|bits| {
+            let lessons = [Lesson::default(); 2];
+            let mut coding = RowCoding { voxel, kind, tables, bits, weights, lessons };
+            let coded = voxels(&mut coding, row, truth);
+            (coded, coding.lessons)
+        });
+        self.weights.voxel.learn(of_voxel);
+        self.weights.kind.learn(of_kind);
+        let made = count + (coded.free | coded.occupied).count_ones();
         self.steps += work::ROW_STEPS + u64::from(made);
         coded
     }
@@ -54,20 +95,36 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
 struct RowCoding<'a, B> {
     voxel: &'a mut [Probability; VOXEL_PROBABILITIES],
     kind: &'a mut [Probability; KIND_PROBABILITIES],
-    /// Of a voxel that may have been seen, and of one that was.
-    levels: [&'static Levels; 2],
+    tables: &'static Tables,
     bits: &'a mut B,
+    /// Of a voxel that may have been seen, and of one that was.
+    weights: [Weights; 2],
+    lessons: [Lesson; 2],
 }
 
 impl<B: CodeBit> DecideVoxel for RowCoding<'_, B> {
     #[inline(always)]
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        let probability = &mut self.voxel[voxel_probability(kind, self.levels[0].of(contexts))];
-        self.bits.code(probability, truth, VOXEL_RATE)
+    fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        let at = voxel_probability(kind, self.tables.level(Question::Seen, contexts));
+        if self.tables.is_sure(self.voxel[at]) {
+            return self.bits.code(&mut self.voxel[at], truth, VOXEL_RATE);
+        }
+        let sum = self.tables.sum(Question::Seen, contexts);
+        let (weights, lesson) = (&self.weights[0], &mut self.lessons[0]);
+        mixing::code(self.bits, &mut self.voxel[at], sum, weights, lesson, truth, VOXEL_RATE)
     }
 
     #[inline(always)]
-    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
-        self.bits.code(&mut self.kind[usize::from(self.levels[1].of(contexts))], truth, KIND_RATE)
+    fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        if self.tables.is_all_occupied {
+            return true;
+        }
+        let at = usize::from(self.tables.level(Question::Kind, contexts));
+        if self.tables.is_sure(self.kind[at]) {
+            return self.bits.code(&mut self.kind[at], truth, KIND_RATE);
+        }
+        let sum = self.tables.sum(Question::Kind, contexts);
+        let (weights, lesson) = (&self.weights[1], &mut self.lessons[1]);
+        mixing::code(self.bits, &mut self.kind[at], sum, weights, lesson, truth, KIND_RATE)
     }
 }

@@ -1,6 +1,9 @@
 //! The decisions that a block is made of. Writing, reading and training each have an implementation.
 
 use super::cells::Bits;
+use super::flag_contexts::{FLAG_PLACES, MixedFlag};
+use super::voxel_contexts::{RowContexts, VoxelContexts};
+use fearless_simd::Simd;
 
 /// Makes or follows decisions. `truth` is what the writer knows; a reader does not look at it.
 pub(crate) trait Decide {
@@ -9,21 +12,26 @@ pub(crate) trait Decide {
 
     /// A bit with a probability of its own.
     fn flag(&mut self, context: usize, truth: bool) -> bool;
+    /// A flag of a row, with what else its sums look at.
+    #[inline]
+    fn mixed_flag(
+        &mut self,
+        _: MixedFlag,
+        context: usize,
+        _: impl FnOnce() -> [usize; FLAG_PLACES],
+        truth: bool,
+    ) -> bool {
+        self.flag(context, truth)
+    }
     /// The unknown voxels of a row.
-    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits;
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits;
 }
 
-/// The unknown voxels of a row and what is around each.
-pub(crate) struct UnknownRow {
+/// The unknown voxels of a row and what is around them.
+pub(crate) struct UnknownRow<S: Simd> {
     pub(crate) voxels: u8,
     pub(crate) kind: RowKind,
-    /// By voxel: the cells around it, without those that are coded with this row; the lower and the higher
-    /// byte.
-    pub(crate) near: [[u8; 8]; 2],
-    /// By voxel: the cells along the ray from the sensor through it; the lower and the higher byte.
-    pub(crate) ray: [[u8; 8]; 2],
-    /// What there is to add to the higher byte of `near` if the voxel before became Free, and if Occupied.
-    pub(crate) beside: [u8; 2],
+    pub(crate) contexts: RowContexts<S>,
 }
 
 /// What is known of a row before its voxels are coded.
@@ -39,40 +47,31 @@ pub(crate) enum RowKind {
 /// The decisions of voxels, one by one.
 pub(crate) trait DecideVoxel {
     /// Whether an unknown voxel was seen.
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool;
+    fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool;
     /// Whether a newly seen voxel is Occupied.
-    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool;
+    fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool;
 }
 
 /// Goes through the voxels of a row.
 #[inline(always)]
-pub(crate) fn voxels<D: DecideVoxel>(decide: &mut D, row: &UnknownRow, truth: Bits) -> Bits {
-    let mut coded = Bits { free: 0, occupied: 0 };
-    let mut kind = row.kind;
-    let mut left = u32::from(row.voxels);
-    let seen = u32::from(truth.free | truth.occupied);
-    let ([near_low, near_high], [ray_low, ray_high]) = (row.near, row.ray);
-    let ray = |x: usize| u16::from_le_bytes([ray_low[x & 7], ray_high[x & 7]]);
-    // A coded voxel goes to the contexts of the next.
-    let mut near_high = near_high;
+pub(crate) fn voxels<S: Simd, D: DecideVoxel>(decide: &mut D, row: UnknownRow<S>, truth: Bits) -> Bits {
+    let UnknownRow { voxels, mut kind, mut contexts } = row;
+    let mut left = u32::from(voxels);
+    let is_seen = u32::from(truth.free | truth.occupied);
+    let (mut seen, mut occupied) = (0, 0);
     while left != 0 {
-        let x = left.trailing_zeros() as usize & 7;
+        let x = left.trailing_zeros() & 7;
         left &= left - 1;
-        let contexts = [u16::from_le_bytes([near_low[x], near_high[x]]), ray(x)];
-        if decide.voxel(kind, contexts, seen >> x & 1 != 0) {
+        let voxel = contexts.of_voxel(x);
+        if decide.voxel(kind, &voxel, is_seen >> x & 1 != 0) {
             if kind == RowKind::Surprise {
                 kind = RowKind::Found;
             }
-            let is_occupied = decide.kind(contexts, truth.occupied >> x & 1 != 0);
-            if is_occupied {
-                coded.occupied |= 1 << x;
-            } else {
-                coded.free |= 1 << x;
-            }
-            if let Some(next) = near_high.get_mut(x + 1) {
-                *next |= row.beside[usize::from(is_occupied)];
-            }
+            seen |= 1 << x;
+            let is_occupied = decide.kind(&voxel, truth.occupied >> x & 1 != 0);
+            occupied |= u32::from(is_occupied) << x;
+            contexts.note(x, is_occupied);
         }
     }
-    coded
+    Bits { free: (seen & !occupied) as u8, occupied: occupied as u8 }
 }

@@ -19,6 +19,8 @@ pub(crate) struct Field {
     cells: Vec<BlockCells>,
     /// How much was known of each before.
     classes: Vec<KnownClasses>,
+    /// The neighbours of a block that are looked up together.
+    found: Vec<Option<StateBlock>>,
 }
 
 /// A block that was not looked at yet.
@@ -29,6 +31,13 @@ const OWN: usize = 13;
 pub(crate) const AHEAD: usize = 16;
 /// The first slot of a block that was taken in.
 const FIRST_SLOT: usize = 2;
+
+/// The numbers of the bits that are set.
+fn bits_of(bits: u32) -> impl Iterator<Item = usize> {
+    let first = (bits != 0).then_some(bits);
+    core::iter::successors(first, |bits| Some(bits & (bits - 1)).filter(|bits| *bits != 0))
+        .map(|bits| bits.trailing_zeros() as usize)
+}
 
 /// The slots of a block and its neighbours by x + 3·y + 9·z, each −1 … 1 plus one.
 pub(crate) type Around = [u32; 27];
@@ -108,35 +117,48 @@ impl Field {
         orientation: Orientation,
     ) -> Result<Around, BaseSuperseded> {
         let mut slots = [NOTHING; 27];
-        // All are looked up before any is taken in, so that the processor can wait for several at once.
-        let mut found = [(0, 0, None); 16];
-        let mut count = 0;
-        let [column, row, slice] = self.places.steps;
-        let lowest = self.places.of(block) - (column + row + slice);
+        let own = self.places.of(block);
         let side = orientation.is_up.map(|is_up| if is_up { 1 } else { -1 });
+        // Steps to the neighbours beyond along each axis: from place to place, and in `slots`.
+        let of_place: [isize; 3] = core::array::from_fn(|a| side[a] * self.places.steps[a] as isize);
+        let of_number: [isize; 3] = core::array::from_fn(|a| side[a] * [1, 3, 9][a]);
+        let along = |steps: [isize; 3], axes: usize| {
+            (steps[0] & -(axes as isize & 1))
+                + (steps[1] & -(axes as isize >> 1 & 1))
+                + (steps[2] & -(axes as isize >> 2))
+        };
+        // The neighbours that nobody has asked for yet: by axes those beyond, then those before.
+        let mut asked = 0u32;
         for axes in 0..8 {
-            // The block itself is on neither side.
-            let sides = [side, side.map(|side| -side)];
-            for side in sides.into_iter().take(if axes == 0 { 1 } else { 2 }) {
-                let offset: [i32; 3] = core::array::from_fn(|a| side[a] * (axes >> a & 1));
-                let [x, y, z] = offset.map(|offset| (offset + 1) as usize);
-                let (number, place) = ((z * 9 + y * 3 + x) % 27, lowest + z * slice + y * row + x * column);
-                let slot = self.slots.get(place).copied().unwrap_or(NOTHING);
-                if slot == NOT_ASKED {
-                    let [dx, dy, dz] = offset;
-                    let neighbour = BlockIndex::new(block.x + dx, block.y + dy, block.z + dz);
-                    found[count % 16] = (number, place, known.block(neighbour)?);
-                    count += 1;
-                } else if slot != NOTHING
-                    && let Some(cells) = self.cells.get_mut(slot as usize)
-                {
-                    cells.mirror(orientation.is_up[0]);
-                }
-                slots[number] = slot;
+            let (place, number) = (along(of_place, axes), along(of_number, axes));
+            let slot = |place: usize| self.slots.get(place).copied().unwrap_or(NOTHING);
+            let (beyond, before) =
+                (slot(own.wrapping_add_signed(place)), slot(own.wrapping_add_signed(-place)));
+            slots[OWN.wrapping_add_signed(number) % 27] = beyond;
+            slots[OWN.wrapping_add_signed(-number) % 27] = before;
+            asked |= u32::from(beyond == NOT_ASKED) << axes | u32::from(before == NOT_ASKED) << (axes + 8);
+        }
+        for slot in slots {
+            // Of the first two there are no cells.
+            if let Some(cells) = self.cells.get_mut(slot as usize) {
+                cells.mirror(orientation.is_up[0]);
             }
         }
-        for (number, place, states) in found.into_iter().take(count) {
-            slots[number % 27] = self.admit(place, states.as_ref(), orientation);
+        // The block itself is on neither side. All are looked up before any is taken in, so that the processor can
+        // wait for several at once.
+        asked &= !(1 << 8);
+        self.found.clear();
+        for n in bits_of(asked) {
+            let sign = if n < 8 { 1 } else { -1 };
+            let [x, y, z] = core::array::from_fn(|a| sign * side[a] as i32 * (n as i32 >> a & 1));
+            self.found.push(known.block(BlockIndex::new(block.x + x, block.y + y, block.z + z))?);
+        }
+        for (at, n) in bits_of(asked).enumerate() {
+            let sign = if n < 8 { 1 } else { -1 };
+            let (place, number) = (sign * along(of_place, n & 7), sign * along(of_number, n & 7));
+            let states = self.found.get(at).copied().flatten();
+            slots[OWN.wrapping_add_signed(number) % 27] =
+                self.admit(own.wrapping_add_signed(place), states.as_ref(), orientation);
         }
         Ok(slots)
     }

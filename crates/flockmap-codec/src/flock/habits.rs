@@ -36,9 +36,9 @@ impl Habits {
         if self.rate == 0 {
             self.sets = vec![set];
             self.rate = match set {
-                TableSet::Dense => 180,
-                TableSet::Sparse => 380,
-                TableSet::Obstacles => 900,
+                TableSet::Dense | TableSet::Free => 140,
+                TableSet::Sparse => 300,
+                TableSet::Obstacles => 750,
             };
         }
         Ok(set)
@@ -49,9 +49,10 @@ impl Habits {
         self.rate = (payload_bytes * 1_024 / changes.max(1)).max(1);
     }
 
-    /// How many blocks from the front are sure to fill so many bytes, if there are as many.
+    /// How many blocks from the front fill so many bytes, if there are as many: twice as many as are likely to. To
+    /// write a package again, for too few, takes longer than a larger box.
     pub(crate) fn reach(&self, blocks: &[Changed<'_>], room: usize) -> usize {
-        let changes = room.saturating_mul(1_024 + 1_024 / 4) / self.rate.max(1);
+        let changes = room.saturating_mul(2 * 1_024) / self.rate.max(1);
         let mut left = u32::try_from(changes.max(1)).unwrap_or(u32::MAX);
         let full = blocks.iter().position(|(_, states)| {
             let changes = states.known_count();

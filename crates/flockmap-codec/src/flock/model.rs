@@ -2,6 +2,8 @@
 
 use flockmap_grid::{BaseSuperseded, BlockIndex, StateBlock, meet};
 
+use fearless_simd::{Level, dispatch};
+
 use super::block;
 use super::decide::Decide;
 use super::field::Field;
@@ -30,7 +32,6 @@ impl Model {
         changes: Option<&StateBlock>,
     ) -> Result<StateBlock, BaseSuperseded> {
         let slots = self.field.around(known, index, orientation)?;
-        self.cells.gather(orientation, &slots, self.field.cells());
         let truth = changes.map(|changes| TurnedChanges::of(changes, orientation)).unwrap_or_default();
         // Whether any Free voxel becomes Occupied, and any Occupied one Free.
         let flips = match changes {
@@ -39,7 +40,11 @@ impl Model {
             }),
             None => [false; 2],
         };
-        let coded = block::code(decide, &mut self.cells, distance, classes, &truth, flips);
+        let Self { field, cells } = self;
+        cells.gather(orientation, &slots, field.cells());
+        let coded = dispatch!(Level::new(), simd => {
+            block::code(simd, decide, cells, distance, classes, &truth, flips)
+        });
         let coded = if D::KNOWS { truth } else { coded };
         Ok(self.field.note(&slots, index, orientation, &coded))
     }

@@ -4,6 +4,8 @@
 //! comes first, and in each slice the farthest row and voxel. So the voxel behind another always has the
 //! lower number, and one piece of code serves all directions.
 
+use fearless_simd::{Level, dispatch};
+
 use super::cells::{Bits, BlockCells, LANES, Row, changed};
 use super::orientation::Orientation;
 use super::planes::exchange;
@@ -66,6 +68,11 @@ impl Neighbourhood {
     /// Takes in a block and its 26 neighbours, which `slots` gives by x + 3·y + 9·z, each −1 … 1 plus one;
     /// they are mirrored as the orientation says.
     pub(crate) fn gather(&mut self, orientation: Orientation, slots: &[u32; 27], cells: &[BlockCells]) {
+        dispatch!(Level::new(), _simd => self.gather_by(orientation, slots, cells));
+    }
+
+    #[inline(always)]
+    fn gather_by(&mut self, orientation: Orientation, slots: &[u32; 27], cells: &[BlockCells]) {
         // Rows go straight to where they belong, unless x itself is the slow axis: then slices are turned
         // afterwards.
         match (orientation.major == 1, orientation.is_up[1]) {
@@ -81,6 +88,7 @@ impl Neighbourhood {
 
     /// `FAST` from row to row and `SLOW` from slice to slice, as blocks are stored; rows from the highest to
     /// the lowest if `IS_UP`.
+    #[inline(always)]
     fn gather_rows<const SLOW: usize, const FAST: usize, const IS_UP: bool>(
         &mut self,
         orientation: Orientation,
@@ -127,6 +135,7 @@ impl Neighbourhood {
     }
 
     /// Swaps the bits of lanes with the slices, for all rows of a slice at once.
+    #[inline(always)]
     fn swap_x_and_z(&mut self) {
         let (slices, _) = self.rows.as_chunks_mut::<SLICE>();
         for (apart, mask) in [(8, 0x00ff), (4, 0x0f0f), (2, 0x3333), (1, 0x5555)] {

@@ -42,14 +42,3 @@ fn swapped<const PART: usize>(mut plane: Plane, masks: [u64; 3]) -> Plane {
     }
     plane
 }
-
-/// Swaps the bits of the bytes of a word with its bytes.
-#[inline]
-pub(crate) const fn swapped_in_word(word: u64) -> u64 {
-    let differ = (word ^ word >> 7) & 0x00aa_00aa_00aa_00aa;
-    let word = word ^ differ ^ differ << 7;
-    let differ = (word ^ word >> 14) & 0x0000_cccc_0000_cccc;
-    let word = word ^ differ ^ differ << 14;
-    let differ = (word ^ word >> 28) & 0x0000_0000_f0f0_f0f0;
-    word ^ differ ^ differ << 28
-}

@@ -4,7 +4,7 @@ use super::orientation::Distance;
 
 /// How they lie in the current slice.
 pub(crate) struct Rays {
-    distance: Distance,
+    pub(crate) distance: Distance,
     /// Whether the axis of a slice along which the sensor is farther away is the one from row to row.
     pub(crate) is_by_rows: bool,
     reciprocal: u64,

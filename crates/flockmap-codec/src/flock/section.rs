@@ -1,8 +1,8 @@
 //! A section: blocks in order, cut where there is no more room. The payload of a package of changes is one; a
 //! chunk of a snapshot has one for each of its stamps.
 //!
-//! The payload: a varint, the number of blocks of the box before the first that is coded times four, plus
-//! the set of tables; the sensor's position, three signed varints, in quarters of a voxel from the middle of
+//! The payload: a varint, the number of blocks of the box before the first that is coded times five, plus
+//! the set of tables; the sensor's position, three signed varints, in whole voxels from the middle of
 //! the box; a varint, the number of blocks from the first to the last that is coded; the decisions. Blocks
 //! are counted in the order of `order.rs`.
 

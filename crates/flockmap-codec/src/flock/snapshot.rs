@@ -16,7 +16,7 @@ use rustc_hash::FxHashMap;
 
 use super::block_box::{BLOCK_UNITS, BOX_BLOCKS_MAX, BlockBox};
 use super::habits::Habits;
-use super::head::{Head, whole};
+use super::head::{Head, as_sent};
 use super::known::Known;
 use super::order;
 use super::section::{self, Section, Workspace};
@@ -101,7 +101,7 @@ impl SnapshotWriter {
                 seen(stamp, &changes);
                 let at = state.sensors().binary_search_by_key(&stamp, |(stamp, _)| *stamp).ok();
                 let sensor = at.and_then(|at| state.sensors().get(at));
-                let sensor = whole(sensor.map_or_else(|| middle(&changes), |(_, at)| *at));
+                let sensor = as_sent(sensor.map_or_else(|| middle(&changes), |(_, at)| *at));
                 let blocks = order::in_order(&changes, sensor).into_iter().copied().collect();
                 steps += work::PART_BLOCK_STEPS * changes.blocks().len() as u64;
                 self.part = Some(Part { stamp, sensor, blocks, next: 0 });

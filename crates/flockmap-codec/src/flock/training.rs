@@ -7,6 +7,7 @@
 
 use flockmap_grid::{Changes, Layer};
 
+use super::adding::{Adding, RATES};
 use super::block_box::BlockBox;
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
@@ -16,11 +17,13 @@ use super::model::Model;
 use super::order::{self, Changed, in_order};
 use super::orientation::Orientation;
 use super::tables::{
-    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Levels, NEAR_CONTEXTS, RAY_CONTEXTS, SET_BYTES,
-    TableSet, Tables, VOXEL_PROBABILITIES, voxel_probability,
+    self, FLAG_CONTEXTS, KIND_PROBABILITIES, LEVELS, Question, SET_BYTES, TableSet, Tables,
+    VOXEL_PROBABILITIES, voxel_probability,
 };
-use crate::deflate::{Deflater, inflate_exact};
+use super::voxel_contexts::{NEAR_CONTEXTS, RAY_CONTEXTS, VoxelContexts};
+use crate::deflate::inflate_exact;
 use crate::source::Batch;
+use fearless_simd::Simd;
 use flockmap_coder::Probability;
 
 /// Changed voxels in a package of usual size. The voxels at its rim have less beside them.
@@ -42,10 +45,7 @@ const LEVEL_BOUNDS: [u32; LEVELS - 1] = [
 ];
 
 /// What the sets of a file are for, in their order in it.
-pub const SETS: [&str; TableSet::ALL.len()] = ["dense", "sparse", "obstacles"];
-
-/// The tables are made once and read for years: the best level of zlib. A change of it changes the file.
-const ZLIB_LEVEL: u32 = 9;
+pub const SETS: [&str; TableSet::ALL.len()] = ["dense", "sparse", "obstacles", "free"];
 
 /// Bytes that are not a file of tables.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
@@ -55,7 +55,11 @@ pub struct NotTables;
 /// The file that the codec ships, of the [`Trainer::tables`] of each of [`SETS`].
 pub fn file(sets: &[Vec<u8>]) -> Vec<u8> {
     let mut file = Vec::new();
-    Deflater::with_level(ZLIB_LEVEL).deflate(&sets.concat(), &mut file);
+    // Made once and read for years: a seventh smaller than by zlib itself, which does not begin its blocks where other
+    // bytes begin.
+    let options = zopfli::Options { maximum_block_splits: 120, ..zopfli::Options::default() };
+    let written = zopfli::compress(options, zopfli::Format::Zlib, &*sets.concat(), &mut file);
+    written.unwrap_or_else(|error| unreachable!("memory takes all that is written: {error}"));
     file
 }
 
@@ -76,24 +80,44 @@ type Counts = [u64; 2];
 
 /// Trains one set of tables.
 pub struct Trainer {
-    counting: Counting,
+    set: TableSet,
+    learning: Learning,
     model: Model,
     coded: Vec<u8>,
 }
 
-impl Default for Trainer {
-    fn default() -> Self {
-        Self::new()
+/// What a round is for.
+enum Learning {
+    /// How often bits are set, in each context or at each level.
+    Counting(Box<Counting>),
+    /// What contexts add; the round.
+    Adding(Box<Adding>, usize),
+}
+
+/// How sure a decision may be to teach something. A little surer than those that are mixed, where that is better.
+const fn learned(set: TableSet) -> Probability {
+    match set {
+        TableSet::Dense | TableSet::Free => 656,
+        TableSet::Sparse | TableSet::Obstacles => 328,
     }
 }
 
 /// Rounds that training takes.
-pub const ROUNDS: usize = 2;
+pub const ROUNDS: usize = 2 + RATES.len();
 
 impl Trainer {
-    /// Before the first round.
-    pub fn new() -> Self {
-        Self { counting: Counting::new(None), model: Model::default(), coded: Vec::new() }
+    /// Of the set with this number among [`SETS`], before the first round.
+    ///
+    /// # Panics
+    /// If there is no such set.
+    pub fn new(set: usize) -> Self {
+        let set = TableSet::ALL[set];
+        Self {
+            set,
+            learning: Learning::Counting(Box::new(Counting::new(set, None))),
+            model: Model::default(),
+            coded: Vec::new(),
+        }
     }
 
     /// Learns from a batch; `layer` is what was known before it. Each round has to be given the same batches.
@@ -110,16 +134,34 @@ impl Trainer {
             });
             let (package, after) = rest.split_at(full.map_or(rest.len(), |last| last + 1));
             rest = after;
-            self.package(&known, sensor, package);
+            let Self { learning, model, coded, .. } = self;
+            match learning {
+                Learning::Counting(counting) => {
+                    Self::package(&mut **counting, model, coded, &known, sensor, package)
+                }
+                Learning::Adding(adding, _) => {
+                    Self::package(&mut **adding, model, coded, &known, sensor, package)
+                }
+            }
+        }
+        if let Learning::Adding(adding, _) = &mut self.learning {
+            adding.end_batch();
         }
     }
 
-    fn package(&mut self, known: &Known<'_>, sensor: [i32; 3], blocks: &[Changed<'_>]) {
+    fn package<D: Decide>(
+        decide: &mut D,
+        model: &mut Model,
+        coded: &mut Vec<u8>,
+        known: &Known<'_>,
+        sensor: [i32; 3],
+        blocks: &[Changed<'_>],
+    ) {
         let Some((first, _)) = blocks.first() else { return };
         let all = blocks.iter().map(|(index, _)| BlockBox::of(*index));
         let region = all.fold(BlockBox::of(*first), BlockBox::union);
-        self.model.field.clear(region);
-        let mut flags = Flags::new(region, &mut self.coded);
+        model.field.clear(region);
+        let mut flags = Flags::new(region, coded);
         let mut left = blocks.iter().peekable();
         for index in order::blocks(region, order::sensor_block(sensor), 0).skip_while(|index| index != first)
         {
@@ -129,12 +171,10 @@ impl Trainer {
             let changes = left.next_if(|(next, _)| *next == index).map(|(_, states)| states);
             let view = Orientation::of(index, sensor);
             // A layer of whole batches, in order, has not been superseded.
-            let Ok(classes) = self.model.field.classes(known, index) else { return };
-            self.counting.flag(flags.context(index, view.0, classes), changes.is_some());
+            let Ok(classes) = model.field.classes(known, index) else { return };
+            decide.flag(flags.context(index, view.0, classes), changes.is_some());
             flags.note(index, changes.is_some());
-            if changes.is_some()
-                && self.model.code(&mut self.counting, known, index, view, classes, changes).is_err()
-            {
+            if changes.is_some() && model.code(decide, known, index, view, classes, changes).is_err() {
                 return;
             }
         }
@@ -142,21 +182,39 @@ impl Trainer {
 
     /// Ends a round. After the last of [`ROUNDS`], [`Self::tables`] are ready.
     pub fn end_round(&mut self) {
-        let Counting { tables, .. } = &self.counting;
-        let tables = match tables {
-            None => self.counting.with_levels(),
-            Some(tables) => self.counting.with_probabilities(tables.clone()),
+        self.learning = match &mut self.learning {
+            Learning::Counting(counting) => match &counting.tables {
+                None => Learning::Counting(Box::new(Counting::new(self.set, Some(counting.with_levels())))),
+                Some(tables) => {
+                    let mut adding =
+                        Adding::new(counting.with_probabilities(tables.clone()), learned(self.set));
+                    adding.begin(RATES[0]);
+                    Learning::Adding(Box::new(adding), 0)
+                }
+            },
+            Learning::Adding(adding, round) => {
+                *round += 1;
+                if let Some(rate) = RATES.get(*round) {
+                    adding.begin(*rate);
+                }
+                return;
+            }
         };
-        self.counting = Counting::new(Some(tables));
     }
 
     /// The tables as bytes, as they stand after the rounds so far.
     pub fn tables(&self) -> Vec<u8> {
-        self.counting.tables.as_ref().map(Tables::to_bytes).unwrap_or_default()
+        match &self.learning {
+            Learning::Counting(counting) => {
+                counting.tables.as_ref().map(Tables::to_bytes).unwrap_or_default()
+            }
+            Learning::Adding(adding, _) => adding.tables().to_bytes(),
+        }
     }
 }
 
 struct Counting {
+    set: TableSet,
     tables: Option<Tables>,
     near: Vec<Counts>,
     ray: Vec<Counts>,
@@ -168,9 +226,10 @@ struct Counting {
 }
 
 impl Counting {
-    fn new(tables: Option<Tables>) -> Self {
+    fn new(set: TableSet, tables: Option<Tables>) -> Self {
         let none = |count| vec![[0; 2]; count];
         Self {
+            set,
             tables,
             near: none(NEAR_CONTEXTS),
             ray: none(RAY_CONTEXTS),
@@ -194,13 +253,15 @@ impl Counting {
             new * 8 + usize::from(state(0) == 1) * 4 + (context >> 13 & 1) * 2 + (context >> 12 & 1)
         };
         let ray_group = |context: usize| context & 255;
-        let mut tables = Tables { voxel: Levels::even(), kind: Levels::even(), start: Box::default() };
-        for (to, near, ray, prior) in [
-            (&mut tables.voxel, &self.near, &self.ray, EVEN_ODDS),
-            (&mut tables.kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
+        let mut tables = Tables::even(self.set);
+        for (question, near, ray, prior) in [
+            (Question::Seen, &self.near, &self.ray, EVEN_ODDS),
+            (Question::Kind, &self.kind_near, &self.kind_ray, THREE_IN_TEN),
         ] {
-            to.near.copy_from_slice(&levels(near, near_group, prior));
-            to.ray.copy_from_slice(&levels(ray, ray_group, prior));
+            let (near, ray) = (levels(near, near_group, prior), levels(ray, ray_group, prior));
+            for (to, level) in tables.near.iter_mut().zip(near).chain(tables.ray.iter_mut().zip(ray)) {
+                to.level[question as usize] = level;
+            }
         }
         tables
     }
@@ -250,7 +311,7 @@ fn levels(counts: &[Counts], group: impl Fn(usize) -> usize, prior: u32) -> Vec<
     }
     let level = |(context, counts): (usize, &Counts)| {
         let prior = share(groups[group(context)], prior, 1);
-        let share = share(*counts, prior, 4);
+        let share = share(*counts, prior, 16);
         LEVEL_BOUNDS.partition_point(|bound| *bound <= share) as u8
     };
     counts.iter().enumerate().map(level).collect()
@@ -262,27 +323,31 @@ impl Decide for Counting {
         truth
     }
 
-    fn row(&mut self, row: &UnknownRow, truth: Bits) -> Bits {
+    fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
         voxels(self, row, truth)
     }
 }
 
 impl DecideVoxel for Counting {
-    fn voxel(&mut self, kind: RowKind, contexts: [u16; 2], truth: bool) -> bool {
-        let [near, ray] = contexts.map(usize::from);
-        let level = self.tables.as_ref().map_or(0, |tables| tables.voxel.of(contexts));
+    fn voxel<S: Simd>(&mut self, kind: RowKind, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        let (near, ray) = (contexts.near(), contexts.ray());
+        let level = self.tables.as_ref().map_or(0, |tables| tables.level(Question::Seen, contexts));
         self.near[near][usize::from(truth)] += 1;
         self.ray[ray][usize::from(truth)] += 1;
         self.voxel_probability[voxel_probability(kind, level)][usize::from(truth)] += 1;
         truth
     }
 
-    fn kind(&mut self, contexts: [u16; 2], truth: bool) -> bool {
-        let [near, ray] = contexts.map(usize::from);
+    fn kind<S: Simd>(&mut self, contexts: &VoxelContexts<'_, S>, truth: bool) -> bool {
+        if self.set.is_all_occupied() {
+            return truth;
+        }
+        let (near, ray) = (contexts.near(), contexts.ray());
         self.kind_near[near][usize::from(truth)] += 1;
         self.kind_ray[ray][usize::from(truth)] += 1;
         if let Some(tables) = &self.tables {
-            self.kind_probability[usize::from(tables.kind.of(contexts))][usize::from(truth)] += 1;
+            self.kind_probability[usize::from(tables.level(Question::Kind, contexts))][usize::from(truth)] +=
+                1;
         }
         truth
     }

@@ -4,7 +4,11 @@ use super::*;
 use proptest::prelude::*;
 
 fn header() -> impl Strategy<Value = Header> {
-    let stamp = prop_oneof![any::<i64>(), 0..1_800_000_000_000_000i64];
+    let stamp = prop_oneof![
+        any::<i64>(),
+        0..1_800_000_000_000_000i64,
+        (0..180_000_000_000i64).prop_map(|hundredths| hundredths * HUNDREDTH),
+    ];
     let numbers = (any::<u16>(), any::<u64>(), 1..=u32::MAX, any::<u32>(), 1_000..=100_000_000u32);
     let side = prop_oneof![1..200u32, Just(1 << 28)];
     let corner = -(1 << 28)..=1i32;
@@ -38,17 +42,19 @@ fn header() -> impl Strategy<Value = Header> {
                 *since %= index;
             }
             let priority = if content == ContentKind::Changes { priority } else { 0 };
+            let (start, end) = (Stamp(stamps[0].min(stamps[1])), Stamp(stamps[0].max(stamps[1])));
             Header {
                 priority: Priority::ALL[priority],
                 stream: Stream { origin: RobotId(origin), epoch },
                 index,
-                batch_start: Stamp(stamps[0].min(stamps[1])),
-                batch_end: Stamp(stamps[0].max(stamps[1])),
+                batch_start: if content == ContentKind::Changes { rounded_start(start, end) } else { start },
+                batch_end: end,
                 base: if content == ContentKind::Changes { base % index } else { 0 },
                 is_independent: content != ContentKind::Changes || base % index == 0 || epoch % 2 == 0,
-                // One of three in whole millimetres.
+                // Whole millimetres, whole centimetres, or neither.
                 resolution: Resolution::from_micrometres(match resolution % 3 {
                     0 => resolution / 1_000 * 1_000,
+                    1 => (resolution / 10_000).max(1) * 10_000,
                     _ => resolution,
                 })
                 .unwrap(),
@@ -130,28 +136,28 @@ fn a_usual_header_takes_few_bytes() {
         is_of_all: false,
         priority: Priority::NearFree,
     };
-    assert_eq!(written(&header).len(), 37);
+    assert_eq!(written(&header).len(), 32);
 }
 
 #[test]
 fn numbers_out_of_range_are_refused() {
     let refused = |edit: &dyn Fn(&mut Vec<u8>)| {
-        // Version, kind and codec, origin, epoch, index 5, batch end, duration, resolution 0.1 m, box,
-        // base.
-        let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 0, 0, 0xc8, 1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
+        // Version, kind and codec, origin, epoch, index 5, duration, batch end, resolution 0.1 m, box, base.
+        let mut bytes = vec![FORMAT_VERSION, 2, 1, 0, 5, 1, 0, 40, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 4];
         assert!(Header::read(&bytes).is_ok());
         edit(&mut bytes);
         Header::read(&bytes).unwrap_err().to_string()
     };
     assert_eq!(refused(&|b| b[4] = 0), "package header: indices begin at 1");
     // One block, counted as 8 × 8 × 8 voxels.
-    let blocks = refused(&|b| b[12..15].copy_from_slice(&[7; 3]));
+    let blocks = refused(&|b| b[11..14].copy_from_slice(&[7; 3]));
     assert_eq!(blocks, "package header: a box of whole blocks is counted in blocks");
-    assert_eq!(refused(&|b| b[15] = 5), "package header: a base is an earlier package");
+    let end = "package header: a batch that ends at a whole hundredth of a second says so";
+    assert_eq!(refused(&|b| b[5] = 0), end);
+    assert_eq!(refused(&|b| b[14] = 5), "package header: a base is an earlier package");
     assert_eq!(refused(&|b| b[1] |= 3 << 5), "package header: priorities are 0 to 2");
     let snapshot = |later: u8, end: &[u8]| {
-        let mut bytes =
-            vec![FORMAT_VERSION, 2 | KIND_SNAPSHOT << KIND_SHIFT | later << 5, 1, 0, 5, 0, 0, 0xc8, 1];
+        let mut bytes = vec![FORMAT_VERSION, 2 | KIND_SNAPSHOT << KIND_SHIFT | later << 5, 1, 0, 5, 0, 0, 40];
         bytes.extend(
             [0; 6].into_iter().chain([0, 9, 9, 9, 9, 0, 1]).chain(end.iter().copied()).chain([1, 2, 3, 4]),
         );
@@ -170,13 +176,15 @@ fn numbers_out_of_range_are_refused() {
     assert_eq!(refused(&|b| b[1] = 7), "package codec 7 is not known; the sender may be newer");
     let late = refused(&|b| {
         b[1] |= KIND_SNAPSHOT << KIND_SHIFT;
-        b[15] = 5;
+        // A snapshot has another order of the stamps.
+        b[5..7].copy_from_slice(&[0, 0]);
+        b[14] = 5;
     });
     assert_eq!(late, "package header: a span begins after an earlier package");
     let resolution = "package header: the resolution is 1,000 to 100,000,000 micrometres in its shorter form";
-    // 100 mm as micrometres; 0 mm; 100,001 mm.
-    for code in [&[0xc1, 0x9a, 0x0c][..], &[0], &[0xc2, 0x9a, 0x0c]] {
-        let refused = refused(&|bytes| drop(bytes.splice(7..9, code.iter().copied())));
+    // 100 mm as micrometres and as millimetres; 0 cm; 10,001 cm.
+    for code in [&[0xc1, 0x9a, 0x0c][..], &[0x92, 0x03], &[0], &[0xc4, 0xb8, 0x02]] {
+        let refused = refused(&|bytes| drop(bytes.splice(7..8, code.iter().copied())));
         assert_eq!(refused, resolution);
     }
     let mut far = Vec::new();
@@ -184,5 +192,11 @@ fn numbers_out_of_range_are_refused() {
     assert!(read_box(&mut Fields::new(&[&far[..], &[0; 5]].concat()), 8).is_err());
     let mut wide = vec![0; 3];
     put_varint(&mut wide, u64::from(u32::MAX) - 1);
-    assert!(read_box(&mut Fields::new(&[&wide[..], &[0; 2]].concat()), 8).is_err());
+    assert!(read_box(&mut Fields::new(&[&wide[..], &[0; 2]].concat()), 1).is_err());
+    for size in [u64::MAX, 1 << 63, (1 << 63) - 1] {
+        let mut wide = vec![1; 3];
+        put_varint(&mut wide, size);
+        let is_too_wide = read_box(&mut Fields::new(&wide), 8).is_err();
+        assert_eq!(is_too_wide, size > (1 << 63) - 1, "{size}");
+    }
 }

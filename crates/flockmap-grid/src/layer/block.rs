@@ -42,6 +42,7 @@ impl LayerBlock {
 
     /// The states before the batch with this stamp and the newest stamp in the block; `Err` with the latter where
     /// they are not known any more.
+    #[inline]
     pub(super) fn known_before(&self, stamp: Stamp) -> Result<(StateBlock, Stamp), Stamp> {
         let newest = self.stamps.newest();
         if newest < stamp {

@@ -1,4 +1,4 @@
-//! What one datagram makes a robot do, in the steps that `WIRE.md` counts: at most 192 for each of its bytes,
+//! What one datagram makes a robot do, in the steps that `WIRE.md` counts: at most 224 for each of its bytes,
 //! and 6,144 for each package in it.
 //!
 //! A package that waits is read later, once, when another datagram has brought what it waits for: its steps
@@ -9,7 +9,7 @@ use flockmap::Robot;
 use flockmap::codec::PACKAGE_BYTES_MAX;
 
 const NAME: &str = "work";
-const STEPS_PER_BYTE: u64 = 192;
+const STEPS_PER_BYTE: u64 = 224;
 const STEPS_PER_PACKAGE: u64 = 6_144;
 
 /// What one run of a robot has done, and may do yet.
