@@ -74,7 +74,7 @@ fn modelled(
     let sensor = as_sent(sensor);
     let sets: &[_] = match count_of(changes) {
         [0, _] => &[TableSet::Obstacles],
-        [free, occupied] if free / FREE_EACH >= occupied => &[TableSet::Free, TableSet::Sparse],
+        [free, occupied] if free / FREE_FOR_EACH_OCCUPIED >= occupied => &[TableSet::Free, TableSet::Sparse],
         _ => &[TableSet::Dense, TableSet::Sparse],
     };
     let mut habits = Habits::new(sets);
@@ -99,9 +99,9 @@ fn modelled(
     Ok(drafts)
 }
 
-/// Free voxels for each Occupied one from which a batch is one of free space. With all changes together there are 2 to 32
-/// of them, where obstacles went ahead 64 to 1,000.
-const FREE_EACH: usize = 40;
+/// A batch with so many voxels that become Free for each that becomes Occupied is one of free space. With all changes
+/// together there are 2 to 32 as a rule, where obstacles went ahead 64 to 1,000.
+const FREE_FOR_EACH_OCCUPIED: usize = 40;
 
 /// How many changes are to Free, and to Occupied.
 fn count_of(changes: &Changes) -> [usize; 2] {

@@ -36,7 +36,8 @@ impl Habits {
         if self.rate == 0 {
             self.sets = vec![set];
             self.rate = match set {
-                TableSet::Dense | TableSet::Free => 140,
+                TableSet::Dense => 140,
+                TableSet::Free => 70,
                 TableSet::Sparse => 300,
                 TableSet::Obstacles => 750,
             };

@@ -17,10 +17,10 @@ pub(crate) struct Head {
     pub(crate) before: u64,
 }
 
-/// Numbers that name a set of tables; the last says that there is none.
-const SETS: u64 = 5;
-/// The first byte of a payload that is gap coded.
-pub(crate) const GAP_CODED: u8 = SETS as u8 - 1;
+/// The first byte of a payload that is gap coded: the number after those of the sets of tables.
+pub(crate) const GAP_CODED: u8 = TableSet::ALL.len() as u8;
+/// Numbers that say which set of tables there is, or that there is none.
+const SETS: u64 = GAP_CODED as u64 + 1;
 
 /// Sixteenths of a voxel to which the place of a sensor is rounded.
 const SENSOR_UNIT: i32 = 16;
