@@ -145,7 +145,7 @@ pub(crate) fn decode_batch(
         Some((&GAP_CODED, rest)) => gap_coding::decode(rest, region, work),
         _ => {
             let known = Known::new(layer, batch_end);
-            section::decode(workspace.get_or_insert_default(), &known, payload, blocks, work)
+            section::decode(workspace.get_or_insert_default(), &known, None, payload, blocks, work)
         }
     }
 }

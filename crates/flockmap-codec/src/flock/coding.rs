@@ -2,8 +2,9 @@
 
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
-use super::flag_contexts::{FLAG_PLACES, MIXED_FLAGS, MixedFlag};
-use super::mixing::{self, Lesson, START, Weights};
+use super::flag_contexts::{FLAG_PLACES, MixedFlag};
+use super::learned::Learned;
+use super::mixing::{self, Lesson, Weights};
 use super::tables::{
     KIND_PROBABILITIES, Probabilities, Question, Tables, VOXEL_PROBABILITIES, voxel_probability,
 };
@@ -20,26 +21,17 @@ const FLAG_RATE: u32 = 6;
 /// The decisions of one package. With a [`BitWriter`](flockmap_coder::BitWriter) they are written; with a
 /// [`BitReader`](flockmap_coder::BitReader) they are read, and any bytes give some.
 pub(crate) struct Coding<'a, B> {
-    probabilities: &'a mut Probabilities,
+    pub(crate) learned: &'a mut Learned,
     tables: &'static Tables,
-    weights: AllWeights,
     pub(crate) bits: B,
     /// Steps of work for those that have been made.
     pub(crate) steps: u64,
 }
 
-/// The weights of each sort of decision that is mixed.
-struct AllWeights {
-    voxel: Weights,
-    kind: Weights,
-    row: [Weights; MIXED_FLAGS],
-}
-
 impl<'a, B> Coding<'a, B> {
-    pub(crate) fn new(tables: &'static Tables, probabilities: &'a mut Probabilities, bits: B) -> Self {
-        probabilities.clone_from(&tables.start);
-        let weights = AllWeights { voxel: START, kind: START, row: [START; MIXED_FLAGS] };
-        Self { probabilities, tables, weights, bits, steps: 0 }
+    /// `learned` from these tables, as it is to begin.
+    pub(crate) fn new(tables: &'static Tables, learned: &'a mut Learned, bits: B) -> Self {
+        Self { learned, tables, bits, steps: 0 }
     }
 }
 
@@ -49,7 +41,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     #[inline(always)]
     fn flag(&mut self, context: usize, truth: bool) -> bool {
         self.steps += work::DECISION_STEPS;
-        self.bits.code(&mut self.probabilities.flag[context], truth, FLAG_RATE)
+        self.bits.code(&mut self.learned.probabilities.flag[context], truth, FLAG_RATE)
     }
 
     #[inline(always)]
@@ -61,12 +53,12 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
         truth: bool,
     ) -> bool {
         self.steps += work::DECISION_STEPS;
-        let probability = &mut self.probabilities.flag[context];
+        let probability = &mut self.learned.probabilities.flag[context];
         if self.tables.is_sure(*probability) {
             return self.bits.code(probability, truth, FLAG_RATE);
         }
         let sum = self.tables.flag_sum(flag, places());
-        let weights = &mut self.weights.row[flag as usize];
+        let weights = &mut self.learned.weights.flags[flag as usize];
         let mut lesson = Lesson::default();
         let bit = mixing::code(&mut self.bits, probability, sum, weights, &mut lesson, truth, FLAG_RATE);
         weights.learn(lesson);
@@ -76,16 +68,16 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     #[inline(always)]
     fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
         let count = row.voxels.count_ones();
-        let Probabilities { voxel, kind, .. } = &mut *self.probabilities;
-        let (tables, weights) = (self.tables, [self.weights.voxel, self.weights.kind]);
+        let Learned { probabilities: Probabilities { voxel, kind, .. }, weights: all } = &mut *self.learned;
+        let (tables, weights) = (self.tables, [all.voxel, all.kind]);
         let (coded, [of_voxel, of_kind]) = self.bits.in_registers(|bits| {
             let lessons = [Lesson::default(); 2];
             let mut coding = RowCoding { voxel, kind, tables, bits, weights, lessons };
             let coded = voxels(&mut coding, row, truth);
             (coded, coding.lessons)
         });
-        self.weights.voxel.learn(of_voxel);
-        self.weights.kind.learn(of_kind);
+        all.voxel.learn(of_voxel);
+        all.kind.learn(of_kind);
         let made = count + (coded.free | coded.occupied).count_ones();
         self.steps += work::ROW_STEPS + u64::from(made);
         coded

@@ -1,9 +1,10 @@
-//! What the packages of a batch so far have taught the writer.
+//! What the packages of a batch, or the sections of a snapshot, have taught the writer so far.
 
 use flockmap_grid::BaseSuperseded;
 
 use super::choice::choose;
 use super::known::Known;
+use super::learned::Teaching;
 use super::model::Model;
 use super::order::Changed;
 use super::tables::TableSet;
@@ -14,11 +15,17 @@ pub(crate) struct Habits {
     sets: Vec<TableSet>,
     /// Bytes for each 1,024 changes.
     rate: usize,
+    /// What readers learn from section to section of a snapshot.
+    pub(crate) teaching: Option<Teaching>,
 }
 
 impl Habits {
     pub(crate) fn new(sets: &[TableSet]) -> Self {
-        Self { sets: sets.to_vec(), rate: 0 }
+        Self { sets: sets.to_vec(), rate: 0, teaching: None }
+    }
+
+    pub(crate) fn of_snapshot(sets: &[TableSet]) -> Self {
+        Self { teaching: Some(Teaching::default()), ..Self::new(sets) }
     }
 
     /// Chooses tables when it sees the first blocks of a batch.
@@ -48,6 +55,13 @@ impl Habits {
     /// Learns from a payload with so many changes.
     pub(crate) fn learn(&mut self, payload_bytes: usize, changes: usize) {
         self.rate = (payload_bytes * 1_024 / changes.max(1)).max(1);
+    }
+
+    /// A section goes out as it was written last.
+    pub(crate) fn accept(&mut self, set: TableSet) {
+        if let Some(Teaching { taught, at_end }) = &mut self.teaching {
+            taught.learn(set, at_end);
+        }
     }
 
     /// How many blocks from the front fill so many bytes, if there are as many: twice as many as are likely to. To

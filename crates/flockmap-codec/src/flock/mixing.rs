@@ -42,6 +42,14 @@ impl Weights {
         self.sum = self.sum.wrapping_add(lesson.sum);
         self.bias = self.bias.wrapping_add(lesson.bias);
     }
+
+    /// Goes a quarter of the way to others.
+    pub(crate) fn approach(&mut self, other: &Self) {
+        let nearer = |from: i32, to: i32| from.wrapping_add(to.wrapping_sub(from) >> 2);
+        self.adaptive = nearer(self.adaptive, other.adaptive);
+        self.sum = nearer(self.sum, other.sum);
+        self.bias = nearer(self.bias, other.bias);
+    }
 }
 
 /// A probability that packages begin with, mixed with a sum as they begin.
@@ -97,6 +105,16 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn weights_go_a_quarter_of_the_way(from in -1_000_000i32..1_000_000, to in -1_000_000i32..1_000_000) {
+            let weights = |weight| Weights { adaptive: weight, sum: weight, bias: weight };
+            let mut nearer = weights(from);
+            nearer.approach(&weights(to));
+            prop_assert_eq!(nearer, weights(from + (to - from).div_euclid(4)));
+            // Packages that were made for it bring weights that are farther apart than a number can say.
+            weights(i32::MIN + from.abs()).approach(&weights(i32::MAX - to.abs()));
+        }
+
         #[test]
         fn nothing_overflows_whatever_comes(
             decisions in prop::collection::vec((1u16.., -1_016i32..=1_016, any::<bool>(), 1usize..16), 0..2_000),

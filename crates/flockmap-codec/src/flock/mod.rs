@@ -24,6 +24,7 @@ mod gap_coding;
 mod habits;
 mod head;
 mod known;
+mod learned;
 mod log2;
 mod mixing;
 mod model;
@@ -41,5 +42,6 @@ pub mod training;
 mod voxel_contexts;
 
 pub(crate) use batch::{decode_batch, encode_batch, sensor};
+pub(crate) use learned::{Learned, Taught};
 pub(crate) use section::Workspace;
 pub(crate) use snapshot::{SnapshotWriter, decode_chunk};

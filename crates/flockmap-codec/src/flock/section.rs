@@ -16,10 +16,11 @@ use super::flags::Flags;
 use super::habits::Habits;
 use super::head::Head;
 use super::known::Known;
+use super::learned::{Learned, Taught, Teaching};
 use super::model::Model;
 use super::order::{self, Changed};
 use super::orientation::Orientation;
-use super::tables::{Probabilities, TableSet};
+use super::tables::TableSet;
 use crate::bytes::{put_varint, varint_len};
 use crate::codec::Codec;
 use crate::error::PackageError;
@@ -31,12 +32,15 @@ use flockmap_coder::{BitReader, BitWriter};
 /// package takes no more.
 const PADDING_MAX: usize = 40;
 
+/// More than most blocks take.
+const BLOCK_BYTES: usize = 30;
+
 /// Memory that is used again from package to package: 550 bytes for each block of the largest package so far
 /// and for each known block next to it, and five bytes for each block of its box and round it.
 #[derive(Default)]
 pub(crate) struct Workspace {
     model: Model,
-    probabilities: Box<Probabilities>,
+    learned: Box<Learned>,
     body: Vec<u8>,
     /// Of each block of the box, whether it is coded and changed.
     coded: Vec<u8>,
@@ -44,6 +48,7 @@ pub(crate) struct Workspace {
 
 /// What became one section.
 pub(crate) struct Section {
+    pub(crate) set: TableSet,
     pub(crate) changes: Changes,
     pub(crate) region: VoxelBox,
     pub(crate) payload: Vec<u8>,
@@ -81,7 +86,8 @@ pub(crate) fn encode(
         let reach = reach + 1;
         let room = room(&voxels);
         let coded = blocks.get(..reach).unwrap_or_default();
-        let (payload, count, steps) = write(workspace, known, set, sensor, coded, region, spare, room)?;
+        let (payload, count, steps) =
+            write(workspace, known, set, habits.teaching.as_mut(), sensor, coded, region, spare, room)?;
         tried += steps;
         let changes = order::changes_of(&blocks[..count]);
         habits.learn(payload.len(), changes.len());
@@ -90,7 +96,7 @@ pub(crate) fn encode(
             before = reach;
             continue;
         }
-        return Ok((Section { changes, region: voxels, payload, steps, tried }, count));
+        return Ok((Section { set, changes, region: voxels, payload, steps, tried }, count));
     }
 }
 
@@ -114,13 +120,14 @@ fn write(
     workspace: &mut Workspace,
     known: &Known<'_>,
     set: TableSet,
+    mut teaching: Option<&mut Teaching>,
     sensor: [i32; 3],
     blocks: &[Changed<'_>],
     region: BlockBox,
     spare: u64,
     room: usize,
 ) -> Result<(Vec<u8>, usize, u64), BaseSuperseded> {
-    let Workspace { model, probabilities, body, coded } = workspace;
+    let Workspace { model, learned, body, coded } = workspace;
     let sensor_block = order::sensor_block(sensor);
     let first = blocks.first().map(|(index, _)| *index);
     let before = order::blocks(region, sensor_block, 0).take_while(|index| Some(*index) != first).count();
@@ -129,10 +136,13 @@ fn write(
     Head { set, sensor, before: before as u64 }.write(&region, &mut payload);
     model.field.clear(region);
     body.clear();
-    let mut decisions = Coding::new(set.tables(), probabilities, BitWriter::new(body));
+    begin(learned, set, teaching.as_ref().map(|teaching| &teaching.taught));
+    let mut decisions = Coding::new(set.tables(), learned, BitWriter::new(body));
     let mut flags = Flags::new(region, coded);
     let mut left = blocks.iter();
     let mut next = left.next();
+    // After how many blocks `at_end` was learned.
+    let mut kept = 0;
     // Coded blocks, and those with changes.
     let (mut length, mut count) = (0u64, 0);
     let (mut seen, mut mark) = (0, decisions.bits.mark());
@@ -156,11 +166,22 @@ fn write(
         let all_steps = of_box + of_flags + of_blocks + decisions.steps;
         let padded = work::bytes_for(all_steps, spare);
         if (bytes.max(padded) > room || padded > bytes + PADDING_MAX) && count > 0 {
+            if teaching.is_some() && kept != count {
+                // It was not likely that the last one would be the last: again, without the one after it.
+                let blocks = blocks.get(..count).unwrap_or_default();
+                return write(workspace, known, set, teaching, sensor, blocks, region, spare, room);
+            }
             decisions.bits.back_to(&mark);
             break;
         }
         (length, count, mark, steps) = (seen, count + 1, decisions.bits.mark(), all_steps);
         next = left.next();
+        if let Some(teaching) = &mut teaching
+            && (next.is_none() || bytes + BLOCK_BYTES > room)
+        {
+            teaching.at_end.as_mut().clone_from(decisions.learned);
+            kept = count;
+        }
     }
     decisions.bits.finish();
     put_varint(&mut payload, length);
@@ -169,10 +190,20 @@ fn write(
     Ok((payload, count, steps))
 }
 
-/// What a payload says; `region` has at most [`BOX_BLOCKS_MAX`] blocks.
+/// What a section begins with.
+fn begin(learned: &mut Learned, set: TableSet, taught: Option<&Taught>) {
+    match taught {
+        Some(taught) => taught.begin(set, learned),
+        None => learned.begin(set.tables()),
+    }
+}
+
+/// What a payload says; `region` has at most [`BOX_BLOCKS_MAX`] blocks. `taught` is what the sections before taught, and
+/// this one then too.
 pub(crate) fn decode(
     workspace: &mut Workspace,
     known: &Known<'_>,
+    taught: Option<&mut Taught>,
     payload: &[u8],
     region: BlockBox,
     work: &mut Work,
@@ -184,10 +215,11 @@ pub(crate) fn decode(
     let length = reader.number("coded blocks", volume - before)?;
     work.take(work::of_box(region.size()))?;
 
-    let Workspace { model, probabilities, coded, .. } = workspace;
+    let Workspace { model, learned, coded, .. } = workspace;
     model.field.clear(region);
     let mut flags = Flags::new(region, coded);
-    let mut decisions = Coding::new(set.tables(), probabilities, BitReader::new(reader.rest()));
+    begin(learned, set, taught.as_deref());
+    let mut decisions = Coding::new(set.tables(), learned, BitReader::new(reader.rest()));
     let mut changed = Vec::new();
     // Steps of what was taken in and decided, as far as they have been counted.
     let mut counted = 0;
@@ -214,6 +246,9 @@ pub(crate) fn decode(
         changed.push((index, model.code(&mut decisions, known, index, view, classes, None)?));
     }
     work.take(model.field.taken_in() * TAKEN_IN_STEPS + decisions.steps - counted)?;
+    if let Some(taught) = taught {
+        taught.learn(set, decisions.learned);
+    }
     let changes = Changes::from_blocks(changed);
     // At its end the grid cuts a block, and only there can a voxel lie outside.
     let ends_grid = region.max.contains(&(VOXEL_LIMIT / BLOCK_SIDE));

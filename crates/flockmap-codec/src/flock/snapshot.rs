@@ -18,6 +18,7 @@ use super::block_box::{BLOCK_UNITS, BOX_BLOCKS_MAX, BlockBox};
 use super::habits::Habits;
 use super::head::{Head, as_sent};
 use super::known::Known;
+use super::learned::Taught;
 use super::order;
 use super::section::{self, Section, Workspace};
 use super::tables::TableSet;
@@ -72,7 +73,7 @@ impl SnapshotWriter {
         coded.reserve(state.block_count());
         Self {
             coded,
-            habits: Habits::new(&[TableSet::Dense, TableSet::Sparse]),
+            habits: Habits::of_snapshot(&[TableSet::Dense, TableSet::Sparse]),
             largest: BlockBox::around(&state.region()),
             part: None,
             begun: None,
@@ -160,6 +161,7 @@ impl SnapshotWriter {
                 continue;
             }
             rest = rest.get(count..).unwrap_or_default();
+            habits.accept(section.set);
             chunk.add(stamp, sensor, section);
         }
         part.next = part.blocks.len() - rest.len();
@@ -273,11 +275,11 @@ fn add_sensor(sensors: &mut Sensors, stamp: Stamp, sensor: [i32; 3]) {
     }
 }
 
-/// What a chunk says; `coded` is what the chunks before it said, and holds this one too afterwards. After an
-/// error it is of no use.
+/// What a chunk says; `coded` is what the chunks before it said, `taught` what they taught, and afterwards this one
+/// too. After an error they are of no use.
 pub(crate) fn decode_chunk(
     workspace: &mut Option<Box<Workspace>>,
-    coded: &mut Layer,
+    (coded, taught): (&mut Layer, &mut Taught),
     payload: &[u8],
     region: &VoxelBox,
     [first, last]: [Stamp; 2],
@@ -304,7 +306,8 @@ pub(crate) fn decode_chunk(
             .ok_or_else(|| wrong("the boxes of its sections have at most 2¹⁸ blocks together"))?;
         section.voxels().ok_or_else(|| wrong("a section lies in the grid"))?;
         let known = Known::new(Some(coded), stamp);
-        let changes = section::decode(workspace.get_or_insert_default(), &known, body, section, work)?;
+        let changes =
+            section::decode(workspace.get_or_insert_default(), &known, Some(taught), body, section, work)?;
         let is_known = |(at, block): &(BlockIndex, StateBlock)| {
             coded.block(*at).is_some_and(|known| meet(&block.known(), &known.known()))
         };
