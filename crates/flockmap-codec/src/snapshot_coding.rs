@@ -22,7 +22,7 @@ const FLOCK_BITS_MAX: usize = 3;
 
 /// A snapshot on its way to chunks. [`Encoder::go_on`](crate::Encoder::go_on) does some of the work at a time, so that
 /// whoever makes it can do other things in between; what comes out does not depend on how much is done at once.
-/// Beside the state it holds 140 to 300 bytes for each block, the chunks, and where they are of another codec than
+/// Beside the state it holds 140 to 300 bytes for each block, 80 KB, the chunks, and where they are of another codec than
 /// [`Codec::Flock`] the state once more.
 pub struct SnapshotCoding<S> {
     headers: Headers,

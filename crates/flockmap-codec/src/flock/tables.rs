@@ -24,7 +24,7 @@ pub(crate) const KIND_PROBABILITIES: usize = LEVELS * LEVELS;
 /// Contexts of flags, see `block.rs`.
 pub(crate) const FLAG_CONTEXTS: usize = 2_816;
 
-/// What is learned: copied for every package, 39 KB.
+/// What is learned, 39 KB: copied for every package.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Probabilities {
     /// By kind of row, level of the near context and level of the ray context.
