@@ -202,7 +202,10 @@ mod tests {
         let first = read.memory_bytes_with(&chunks[0]);
         Decoder::new().decode_chunk(&chunks[0], &mut read).unwrap();
         let room = read.memory_bytes_with(&chunks[1]).max(read.memory_bytes() + first);
-        assert!(room < read.memory_bytes() + read.memory_bytes_with(&chunks[1]), "chunks of about one length");
+        assert!(
+            room < read.memory_bytes() + read.memory_bytes_with(&chunks[1]),
+            "chunks of about one length"
+        );
         (chunks, room)
     }
 

@@ -6,6 +6,7 @@
 use super::flag_contexts::MIXED_FLAGS;
 use super::mixing::{START, Weights};
 use super::tables::{Probabilities, TableSet, Tables};
+use fearless_simd::{Level, dispatch};
 use flockmap_coder::Probability;
 
 /// 39 KB.
@@ -32,17 +33,25 @@ impl Default for AllWeights {
 impl Learned {
     /// What a package of changes begins with.
     pub(crate) fn begin(&mut self, tables: &Tables) {
-        self.probabilities.clone_from(&tables.start);
+        self.probabilities.copy(&tables.start);
         self.weights = AllWeights::default();
+    }
+
+    /// As another one.
+    pub(crate) fn copy(&mut self, other: &Self) {
+        self.probabilities.copy(&other.probabilities);
+        self.weights = other.weights.clone();
     }
 
     /// Goes a quarter of the way to another one. All of it would be too much: the end of a section is not like its
     /// beginning.
     fn approach(&mut self, other: &Self) {
         let (own, other_of) = (&mut self.probabilities, &other.probabilities);
-        nearer(&mut own.voxel, &other_of.voxel);
-        nearer(&mut own.kind, &other_of.kind);
-        nearer(&mut own.flag, &other_of.flag);
+        dispatch!(Level::new(), _simd => {
+            nearer(&mut own.voxel, &other_of.voxel);
+            nearer(&mut own.kind, &other_of.kind);
+            nearer(&mut own.flag, &other_of.flag);
+        });
         let (own, other_of) = (&mut self.weights, &other.weights);
         own.voxel.approach(&other_of.voxel);
         own.kind.approach(&other_of.kind);
@@ -50,12 +59,10 @@ impl Learned {
     }
 }
 
-/// A quarter of the way to others.
+/// A quarter of the way to others: never below the least of both, nor beyond.
+#[inline(always)]
 fn nearer(own: &mut [Probability], others: &[Probability]) {
-    for (own, other) in own.iter_mut().zip(others) {
-        let (from, to) = (i32::from(*own), i32::from(*other));
-        *own = (from + ((to - from) >> 2)) as Probability;
-    }
+    own.iter_mut().zip(others).for_each(|(own, other)| *own = *own - (*own >> 2) + (*other >> 2));
 }
 
 fn begun(set: TableSet) -> Box<Learned> {
@@ -72,7 +79,7 @@ impl Taught {
     /// What the next section begins with if it uses this set: nothing was learned if the last one used another.
     pub(crate) fn begin(&self, set: TableSet, learned: &mut Learned) {
         match &self.0 {
-            Some((of_set, taught)) if *of_set == set => learned.clone_from(taught),
+            Some((of_set, taught)) if *of_set == set => learned.copy(taught),
             _ => learned.begin(set.tables()),
         }
     }
@@ -128,14 +135,21 @@ mod tests {
             taught.learn(set, &at_end);
             let to = next(&taught, set);
             for (from, to) in from.probabilities.voxel.iter().zip(&to.probabilities.voxel) {
-                let quarter = (f64::from(*from) + (f64::from(probability) - f64::from(*from)) / 4.0).floor();
-                assert_eq!(f64::from(*to), quarter);
+                let quarter = (f64::from(*from) * 3.0 + f64::from(probability)) / 4.0;
+                assert!((f64::from(*to) - quarter).abs() < 1.0, "{from} and {probability}: {to}");
             }
             assert_eq!(to.probabilities.kind, begun.probabilities.kind, "these had not changed");
         }
         // However often, a probability is never nothing.
         (0..50).for_each(|_| taught.learn(set, &all(set, 1)));
-        assert!(next(&taught, set).probabilities.voxel.iter().all(|probability| *probability == 1));
+        assert!(
+            next(&taught, set).probabilities.voxel.iter().all(|probability| (1..8).contains(probability))
+        );
+        (0..50).for_each(|_| taught.learn(set, &all(set, u16::MAX)));
+        let highest = u16::MAX - 7..=u16::MAX;
+        assert!(
+            next(&taught, set).probabilities.voxel.iter().all(|probability| highest.contains(probability))
+        );
     }
 
     #[test]

@@ -25,7 +25,7 @@ use crate::bytes::{put_varint, varint_len};
 use crate::codec::Codec;
 use crate::error::PackageError;
 use crate::fields::Fields;
-use crate::work::{self, CHANGED_STEPS, TAKEN_IN_STEPS, Work};
+use crate::work::{self, CHANGED_STEPS, TAKEN_IN_STEPS, TAUGHT_STEPS, Work};
 use flockmap_coder::{BitReader, BitWriter};
 
 /// Zeros at the end of a payload that is short for its work, at most, unless it has one block: another
@@ -146,7 +146,7 @@ fn write(
     // Coded blocks, and those with changes.
     let (mut length, mut count) = (0u64, 0);
     let (mut seen, mut mark) = (0, decisions.bits.mark());
-    let of_box = work::of_box(region.size());
+    let of_box = work::of_box(region.size()) + if teaching.is_some() { TAUGHT_STEPS } else { 0 };
     let (mut steps, mut of_flags) = (of_box, 0);
     for index in order::blocks(region, sensor_block, before as u64) {
         let Some((changed, states)) = next else { break };
@@ -179,7 +179,7 @@ fn write(
         if let Some(teaching) = &mut teaching
             && (next.is_none() || bytes + BLOCK_BYTES > room)
         {
-            teaching.at_end.as_mut().clone_from(decisions.learned);
+            teaching.at_end.copy(decisions.learned);
             kept = count;
         }
     }
@@ -247,6 +247,7 @@ pub(crate) fn decode(
     }
     work.take(model.field.taken_in() * TAKEN_IN_STEPS + decisions.steps - counted)?;
     if let Some(taught) = taught {
+        work.take(TAUGHT_STEPS)?;
         taught.learn(set, decisions.learned);
     }
     let changes = Changes::from_blocks(changed);

@@ -46,6 +46,15 @@ impl Default for Probabilities {
     }
 }
 
+impl Probabilities {
+    /// As others: straight to where they belong.
+    pub(crate) fn copy(&mut self, other: &Self) {
+        self.voxel.copy_from_slice(&other.voxel);
+        self.kind.copy_from_slice(&other.kind);
+        self.flag.copy_from_slice(&other.flag);
+    }
+}
+
 /// What is asked of a voxel. Both questions are asked in the same contexts, so what is known of both stands together in
 /// the caches.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
