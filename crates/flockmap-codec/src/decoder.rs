@@ -15,8 +15,8 @@ use crate::{flock, paper};
 /// Decodes packages and keeps its memory from one to the next: up to 2.25 bytes for each voxel of the largest
 /// box so far. For [`Codec::Flock`] in place of that: 550 bytes for each block of the largest package and
 /// each known one in its box or beside it, 45 bytes at most for each block of the box (of which there are at
-/// most 2¹⁸), and 40 KB. The tables of that codec, 690 KB, are one for the whole process. One for each
-/// thread.
+/// most 2¹⁸), and 40 KB. The tables of that codec, 2.3 MB, are one for the whole process, and take
+/// twice that while they are unpacked. One for each thread.
 #[derive(Default)]
 pub struct Decoder {
     paper: paper::Scratch,
