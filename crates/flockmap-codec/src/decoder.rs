@@ -115,10 +115,10 @@ impl Decoder {
         if chunk != before.next || header.codec != Codec::Flock {
             return Err(PackageError::ChunkMissing { chunk: before.next });
         }
-        let ChunksRead { mut coded, mut taught, next, .. } = core::mem::take(before);
+        let ChunksRead { mut coded, mut carried, next, .. } = core::mem::take(before);
         let (payload, ends) = (package.payload(), [header.batch_start, header.batch_end]);
         let mut work = Work::new(header.codec, payload.len());
-        let read = (&mut coded, &mut taught);
+        let read = (&mut coded, &mut carried);
         let state = flock::decode_chunk(&mut self.flock, read, payload, &header.region, ends, &mut work);
         self.steps = work.taken();
         let checked = state.and_then(|state| {
@@ -126,7 +126,7 @@ impl Decoder {
             Ok(state)
         });
         *before = match &checked {
-            Ok(_) => ChunksRead { coded, taught, next: next.saturating_add(1), spoilt: Layer::default() },
+            Ok(_) => ChunksRead { coded, carried, next: next.saturating_add(1), spoilt: Layer::default() },
             // To let go of it takes a while, which is for the caller to spend.
             Err(_) => ChunksRead { spoilt: coded, ..ChunksRead::default() },
         };
@@ -151,7 +151,7 @@ impl Decoder {
 #[derive(Clone, Debug, Default)]
 pub struct ChunksRead {
     coded: Layer,
-    taught: flock::Taught,
+    carried: flock::CarriedState,
     next: u32,
     /// What was read before one that was wrong. Nobody looks at it any more.
     spoilt: Layer,
@@ -170,7 +170,7 @@ impl ChunksRead {
 
     /// Bytes that it holds. O(1).
     pub fn memory_bytes(&self) -> usize {
-        self.coded.memory_bytes() + self.taught.memory_bytes()
+        self.coded.memory_bytes() + self.carried.memory_bytes()
     }
 
     /// Lets go of it, but not at once.
@@ -183,7 +183,7 @@ impl ChunksRead {
     pub fn memory_bytes_with(&self, chunk: &Package) -> usize {
         let blocks = work::limit(chunk.payload().len()) / work::BLOCK_STEPS;
         self.coded.memory_bytes_with(usize::try_from(blocks).unwrap_or(usize::MAX))
-            + size_of::<flock::Learned>()
+            + flock::CarriedState::MEMORY_MAX
     }
 }
 

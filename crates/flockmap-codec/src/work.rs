@@ -16,8 +16,8 @@ pub(crate) const STEPS_FREE: u64 = 6_144;
 pub(crate) const BLOCK_STEPS: u64 = 128;
 /// A payload, or a section of one, in the model of `flock`.
 pub(crate) const SECTION_STEPS: u64 = 1_024;
-/// More for a section of a snapshot: what it learns goes on to the next.
-pub(crate) const TAUGHT_STEPS: u64 = 1_024;
+/// More for a section of a snapshot: its adaptive state is carried to the next.
+pub(crate) const CARRY_STEPS: u64 = 1_024;
 /// A block of which `flock` says whether it changed.
 const FLAG_STEPS: u64 = 8;
 /// More for one of which something was known before: it is fetched from a large table, several at once.

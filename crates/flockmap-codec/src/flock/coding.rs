@@ -1,9 +1,9 @@
 //! Decisions to bytes, and bytes to decisions: one piece of code, so that both learn alike.
 
+use super::adaptive_state::AdaptiveState;
 use super::cells::Bits;
 use super::decide::{Decide, DecideVoxel, RowKind, UnknownRow, voxels};
 use super::flag_contexts::{FLAG_PLACES, MixedFlag};
-use super::learned::Learned;
 use super::mixing::{self, Lesson, Weights};
 use super::tables::{
     KIND_PROBABILITIES, Probabilities, Question, Tables, VOXEL_PROBABILITIES, voxel_probability,
@@ -21,7 +21,7 @@ const FLAG_RATE: u32 = 6;
 /// The decisions of one package. With a [`BitWriter`](flockmap_coder::BitWriter) they are written; with a
 /// [`BitReader`](flockmap_coder::BitReader) they are read, and any bytes give some.
 pub(crate) struct Coding<'a, B> {
-    pub(crate) learned: &'a mut Learned,
+    pub(crate) state: &'a mut AdaptiveState,
     tables: &'static Tables,
     pub(crate) bits: B,
     /// Steps of work for those that have been made.
@@ -29,9 +29,9 @@ pub(crate) struct Coding<'a, B> {
 }
 
 impl<'a, B> Coding<'a, B> {
-    /// `learned` from these tables, as it is to begin.
-    pub(crate) fn new(tables: &'static Tables, learned: &'a mut Learned, bits: B) -> Self {
-        Self { learned, tables, bits, steps: 0 }
+    /// `state` of these tables, as it is to begin.
+    pub(crate) fn new(tables: &'static Tables, state: &'a mut AdaptiveState, bits: B) -> Self {
+        Self { state, tables, bits, steps: 0 }
     }
 }
 
@@ -41,7 +41,7 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     #[inline(always)]
     fn flag(&mut self, context: usize, truth: bool) -> bool {
         self.steps += work::DECISION_STEPS;
-        self.bits.code(&mut self.learned.probabilities.flag[context], truth, FLAG_RATE)
+        self.bits.code(&mut self.state.probabilities.flag[context], truth, FLAG_RATE)
     }
 
     #[inline(always)]
@@ -53,12 +53,12 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
         truth: bool,
     ) -> bool {
         self.steps += work::DECISION_STEPS;
-        let probability = &mut self.learned.probabilities.flag[context];
+        let probability = &mut self.state.probabilities.flag[context];
         if self.tables.is_sure(*probability) {
             return self.bits.code(probability, truth, FLAG_RATE);
         }
         let sum = self.tables.flag_sum(flag, places());
-        let weights = &mut self.learned.weights.flags[flag as usize];
+        let weights = &mut self.state.weights.flags[flag as usize];
         let mut lesson = Lesson::default();
         let bit = mixing::code(&mut self.bits, probability, sum, weights, &mut lesson, truth, FLAG_RATE);
         weights.learn(lesson);
@@ -68,7 +68,8 @@ impl<B: CodeBit> Decide for Coding<'_, B> {
     #[inline(always)]
     fn row<S: Simd>(&mut self, row: UnknownRow<S>, truth: Bits) -> Bits {
         let count = row.voxels.count_ones();
-        let Learned { probabilities: Probabilities { voxel, kind, .. }, weights: all } = &mut *self.learned;
+        let AdaptiveState { probabilities: Probabilities { voxel, kind, .. }, weights: all } =
+            &mut *self.state;
         let (tables, weights) = (self.tables, [all.voxel, all.kind]);
         let (coded, [of_voxel, of_kind]) = self.bits.in_registers(|bits| {
             let lessons = [Lesson::default(); 2];

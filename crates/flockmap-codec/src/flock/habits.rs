@@ -2,9 +2,9 @@
 
 use flockmap_grid::BaseSuperseded;
 
+use super::adaptive_state::Carry;
 use super::choice::choose;
 use super::known::Known;
-use super::learned::Teaching;
 use super::model::Model;
 use super::order::Changed;
 use super::tables::TableSet;
@@ -15,17 +15,17 @@ pub(crate) struct Habits {
     sets: Vec<TableSet>,
     /// Bytes for each 1,024 changes.
     rate: usize,
-    /// What readers learn from section to section of a snapshot.
-    pub(crate) teaching: Option<Teaching>,
+    /// Of sections of a snapshot.
+    pub(crate) carry: Option<Carry>,
 }
 
 impl Habits {
     pub(crate) fn new(sets: &[TableSet]) -> Self {
-        Self { sets: sets.to_vec(), rate: 0, teaching: None }
+        Self { sets: sets.to_vec(), rate: 0, carry: None }
     }
 
     pub(crate) fn of_snapshot(sets: &[TableSet]) -> Self {
-        Self { teaching: Some(Teaching::default()), ..Self::new(sets) }
+        Self { carry: Some(Carry::default()), ..Self::new(sets) }
     }
 
     /// Chooses tables when it sees the first blocks of a batch.
@@ -59,8 +59,8 @@ impl Habits {
 
     /// A section goes out as it was written last.
     pub(crate) fn accept(&mut self, set: TableSet) {
-        if let Some(Teaching { taught, at_end }) = &mut self.teaching {
-            taught.learn(set, at_end);
+        if let Some(Carry { state, at_end }) = &mut self.carry {
+            state.note(set, at_end);
         }
     }
 

@@ -8,6 +8,7 @@
 //! has all that a decision may look at. `section` is the payload; `batch` and `snapshot` are made of it, or
 //! where there is no pattern of `gap_coding`.
 
+mod adaptive_state;
 #[cfg(feature = "training")]
 mod adding;
 mod batch;
@@ -24,7 +25,6 @@ mod gap_coding;
 mod habits;
 mod head;
 mod known;
-mod learned;
 mod log2;
 mod mixing;
 mod model;
@@ -41,7 +41,7 @@ mod tables;
 pub mod training;
 mod voxel_contexts;
 
+pub(crate) use adaptive_state::CarriedState;
 pub(crate) use batch::{decode_batch, encode_batch, sensor};
-pub(crate) use learned::{Learned, Taught};
 pub(crate) use section::Workspace;
 pub(crate) use snapshot::{SnapshotWriter, decode_chunk};

@@ -8,6 +8,7 @@
 
 use flockmap_grid::{BLOCK_SIDE, BaseSuperseded, Changes, VOXEL_LIMIT, VoxelBox};
 
+use super::adaptive_state::{AdaptiveState, CarriedState, Carry};
 use super::block_box::{BOX_BLOCKS_MAX, BlockBox};
 use super::coding::Coding;
 use super::decide::Decide;
@@ -16,7 +17,6 @@ use super::flags::Flags;
 use super::habits::Habits;
 use super::head::Head;
 use super::known::Known;
-use super::learned::{Learned, Taught, Teaching};
 use super::model::Model;
 use super::order::{self, Changed};
 use super::orientation::Orientation;
@@ -25,14 +25,14 @@ use crate::bytes::{put_varint, varint_len};
 use crate::codec::Codec;
 use crate::error::PackageError;
 use crate::fields::Fields;
-use crate::work::{self, CHANGED_STEPS, TAKEN_IN_STEPS, TAUGHT_STEPS, Work};
+use crate::work::{self, CARRY_STEPS, CHANGED_STEPS, TAKEN_IN_STEPS, Work};
 use flockmap_coder::{BitReader, BitWriter};
 
 /// Zeros at the end of a payload that is short for its work, at most, unless it has one block: another
 /// package takes no more.
 const PADDING_MAX: usize = 40;
 
-/// More than most blocks take.
+/// More than most blocks take: with less room than this a section may be full with the next one.
 const BLOCK_BYTES: usize = 30;
 
 /// Memory that is used again from package to package: 550 bytes for each block of the largest package so far
@@ -40,7 +40,7 @@ const BLOCK_BYTES: usize = 30;
 #[derive(Default)]
 pub(crate) struct Workspace {
     model: Model,
-    learned: Box<Learned>,
+    state: Box<AdaptiveState>,
     body: Vec<u8>,
     /// Of each block of the box, whether it is coded and changed.
     coded: Vec<u8>,
@@ -87,7 +87,7 @@ pub(crate) fn encode(
         let room = room(&voxels);
         let coded = blocks.get(..reach).unwrap_or_default();
         let (payload, count, steps) =
-            write(workspace, known, set, habits.teaching.as_mut(), sensor, coded, region, spare, room)?;
+            write(workspace, known, set, habits.carry.as_mut(), sensor, coded, region, spare, room)?;
         tried += steps;
         let changes = order::changes_of(&blocks[..count]);
         habits.learn(payload.len(), changes.len());
@@ -120,14 +120,14 @@ fn write(
     workspace: &mut Workspace,
     known: &Known<'_>,
     set: TableSet,
-    mut teaching: Option<&mut Teaching>,
+    mut carry: Option<&mut Carry>,
     sensor: [i32; 3],
     blocks: &[Changed<'_>],
     region: BlockBox,
     spare: u64,
     room: usize,
 ) -> Result<(Vec<u8>, usize, u64), BaseSuperseded> {
-    let Workspace { model, learned, body, coded } = workspace;
+    let Workspace { model, state, body, coded } = workspace;
     let sensor_block = order::sensor_block(sensor);
     let first = blocks.first().map(|(index, _)| *index);
     let before = order::blocks(region, sensor_block, 0).take_while(|index| Some(*index) != first).count();
@@ -136,17 +136,17 @@ fn write(
     Head { set, sensor, before: before as u64 }.write(&region, &mut payload);
     model.field.clear(region);
     body.clear();
-    begin(learned, set, teaching.as_ref().map(|teaching| &teaching.taught));
-    let mut decisions = Coding::new(set.tables(), learned, BitWriter::new(body));
+    state.begin(set, carry.as_ref().map(|carry| &carry.state));
+    let mut decisions = Coding::new(set.tables(), state, BitWriter::new(body));
     let mut flags = Flags::new(region, coded);
     let mut left = blocks.iter();
     let mut next = left.next();
-    // After how many blocks `at_end` was learned.
+    // After how many blocks `at_end` was kept.
     let mut kept = 0;
     // Coded blocks, and those with changes.
     let (mut length, mut count) = (0u64, 0);
     let (mut seen, mut mark) = (0, decisions.bits.mark());
-    let of_box = work::of_box(region.size()) + if teaching.is_some() { TAUGHT_STEPS } else { 0 };
+    let of_box = work::of_box(region.size()) + if carry.is_some() { CARRY_STEPS } else { 0 };
     let (mut steps, mut of_flags) = (of_box, 0);
     for index in order::blocks(region, sensor_block, before as u64) {
         let Some((changed, states)) = next else { break };
@@ -166,20 +166,20 @@ fn write(
         let all_steps = of_box + of_flags + of_blocks + decisions.steps;
         let padded = work::bytes_for(all_steps, spare);
         if (bytes.max(padded) > room || padded > bytes + PADDING_MAX) && count > 0 {
-            if teaching.is_some() && kept != count {
-                // It was not likely that the last one would be the last: again, without the one after it.
+            if carry.is_some() && kept != count {
+                // The state after the last block that goes in was not kept: again, without the one after it.
                 let blocks = blocks.get(..count).unwrap_or_default();
-                return write(workspace, known, set, teaching, sensor, blocks, region, spare, room);
+                return write(workspace, known, set, carry, sensor, blocks, region, spare, room);
             }
             decisions.bits.back_to(&mark);
             break;
         }
         (length, count, mark, steps) = (seen, count + 1, decisions.bits.mark(), all_steps);
         next = left.next();
-        if let Some(teaching) = &mut teaching
+        if let Some(carry) = &mut carry
             && (next.is_none() || bytes + BLOCK_BYTES > room)
         {
-            teaching.at_end.copy(decisions.learned);
+            carry.at_end.copy_from(decisions.state);
             kept = count;
         }
     }
@@ -190,20 +190,12 @@ fn write(
     Ok((payload, count, steps))
 }
 
-/// What a section begins with.
-fn begin(learned: &mut Learned, set: TableSet, taught: Option<&Taught>) {
-    match taught {
-        Some(taught) => taught.begin(set, learned),
-        None => learned.begin(set.tables()),
-    }
-}
-
-/// What a payload says; `region` has at most [`BOX_BLOCKS_MAX`] blocks. `taught` is what the sections before taught, and
-/// this one then too.
+/// What a payload says; `region` has at most [`BOX_BLOCKS_MAX`] blocks. `carried` is what a section of a snapshot
+/// begins with, and afterwards the same for the next.
 pub(crate) fn decode(
     workspace: &mut Workspace,
     known: &Known<'_>,
-    taught: Option<&mut Taught>,
+    carried: Option<&mut CarriedState>,
     payload: &[u8],
     region: BlockBox,
     work: &mut Work,
@@ -213,13 +205,13 @@ pub(crate) fn decode(
     let Head { set, sensor, before } = Head::read(&region, &mut reader)?;
     let volume = region.volume() as u64;
     let length = reader.number("coded blocks", volume - before)?;
-    work.take(work::of_box(region.size()))?;
+    work.take(work::of_box(region.size()) + if carried.is_some() { CARRY_STEPS } else { 0 })?;
 
-    let Workspace { model, learned, coded, .. } = workspace;
+    let Workspace { model, state, coded, .. } = workspace;
     model.field.clear(region);
     let mut flags = Flags::new(region, coded);
-    begin(learned, set, taught.as_deref());
-    let mut decisions = Coding::new(set.tables(), learned, BitReader::new(reader.rest()));
+    state.begin(set, carried.as_deref());
+    let mut decisions = Coding::new(set.tables(), state, BitReader::new(reader.rest()));
     let mut changed = Vec::new();
     // Steps of what was taken in and decided, as far as they have been counted.
     let mut counted = 0;
@@ -246,9 +238,8 @@ pub(crate) fn decode(
         changed.push((index, model.code(&mut decisions, known, index, view, classes, None)?));
     }
     work.take(model.field.taken_in() * TAKEN_IN_STEPS + decisions.steps - counted)?;
-    if let Some(taught) = taught {
-        work.take(TAUGHT_STEPS)?;
-        taught.learn(set, decisions.learned);
+    if let Some(carried) = carried {
+        carried.note(set, decisions.state);
     }
     let changes = Changes::from_blocks(changed);
     // At its end the grid cuts a block, and only there can a voxel lie outside.

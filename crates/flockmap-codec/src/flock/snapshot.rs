@@ -14,11 +14,11 @@ use flockmap_grid::{
 };
 use rustc_hash::FxHashMap;
 
+use super::adaptive_state::CarriedState;
 use super::block_box::{BLOCK_UNITS, BOX_BLOCKS_MAX, BlockBox};
 use super::habits::Habits;
 use super::head::{Head, as_sent};
 use super::known::Known;
-use super::learned::Taught;
 use super::order;
 use super::section::{self, Section, Workspace};
 use super::tables::TableSet;
@@ -275,11 +275,11 @@ fn add_sensor(sensors: &mut Sensors, stamp: Stamp, sensor: [i32; 3]) {
     }
 }
 
-/// What a chunk says; `coded` is what the chunks before it said, `taught` what they taught, and afterwards this one
-/// too. After an error they are of no use.
+/// What a chunk says; `coded` is what the chunks before it said, `carried` what its first section begins with, and
+/// afterwards the same for the next chunk. After an error they are of no use.
 pub(crate) fn decode_chunk(
     workspace: &mut Option<Box<Workspace>>,
-    (coded, taught): (&mut Layer, &mut Taught),
+    (coded, carried): (&mut Layer, &mut CarriedState),
     payload: &[u8],
     region: &VoxelBox,
     [first, last]: [Stamp; 2],
@@ -307,7 +307,7 @@ pub(crate) fn decode_chunk(
         section.voxels().ok_or_else(|| wrong("a section lies in the grid"))?;
         let known = Known::new(Some(coded), stamp);
         let changes =
-            section::decode(workspace.get_or_insert_default(), &known, Some(taught), body, section, work)?;
+            section::decode(workspace.get_or_insert_default(), &known, Some(carried), body, section, work)?;
         let is_known = |(at, block): &(BlockIndex, StateBlock)| {
             coded.block(*at).is_some_and(|known| meet(&block.known(), &known.known()))
         };

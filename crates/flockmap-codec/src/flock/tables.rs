@@ -2,7 +2,7 @@
 //!
 //! They are made by a program from generated scenes (`docs/codec.md`) and shipped with the codec, so that
 //! every package can be read without another. The static part says of each context how likely a bit is, in 64
-//! levels; the probabilities proper belong to levels, not to contexts, and are learned anew in every package.
+//! levels; the probabilities proper belong to levels, not to contexts, and adapt anew in every package.
 
 use std::sync::OnceLock;
 
@@ -24,7 +24,7 @@ pub(crate) const KIND_PROBABILITIES: usize = LEVELS * LEVELS;
 /// Contexts of flags, see `block.rs`.
 pub(crate) const FLAG_CONTEXTS: usize = 2_816;
 
-/// What is learned, 39 KB: copied for every package.
+/// What adapts, 39 KB: copied for every package.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Probabilities {
     /// By kind of row, level of the near context and level of the ray context.
@@ -47,8 +47,8 @@ impl Default for Probabilities {
 }
 
 impl Probabilities {
-    /// As others: straight to where they belong.
-    pub(crate) fn copy(&mut self, other: &Self) {
+    /// Straight to where they belong, where `clone_from` would go by the stack.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
         self.voxel.copy_from_slice(&other.voxel);
         self.kind.copy_from_slice(&other.kind);
         self.flag.copy_from_slice(&other.flag);
