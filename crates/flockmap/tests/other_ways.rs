@@ -3,7 +3,8 @@
 mod common;
 
 use common::{PERFECT, Random, Swarm, config, resolution, scan};
-use flockmap::{Cast, Event, Package, Pose, Robot, RobotConfig, RobotId, Stamp};
+use flockmap::codec::Header;
+use flockmap::{Cast, Event, Package, Pose, Resolution, Robot, RobotConfig, RobotId, Stamp};
 
 /// A robot that flew alone, and all its packages.
 fn flown(id: u16, seed: u64) -> (Robot, Vec<Package>) {
@@ -70,6 +71,59 @@ fn in_any_order_and_more_than_once_they_make_the_layer_that_they_were_made_of() 
         }
         assert_eq!((robot.own_stream(), robot.fusion().map().count()), (stream, before), "seed {seed}");
     }
+}
+
+/// The package with another resolution in its header, and the check that it had.
+fn with_resolution(package: &Package, metres: f64) -> Package {
+    let header = Header { resolution: Resolution::from_metres(metres).unwrap(), ..*package.header() };
+    let payload_at = Package::from_parts(package.header(), &[], 0).bytes().len();
+    let (checked, payload) = package.bytes().split_at(payload_at);
+    let check = u32::from_le_bytes(*checked.last_chunk().unwrap());
+    Package::from_parts(&header, payload, check)
+}
+
+#[test]
+fn a_package_with_a_damaged_resolution_is_not_held_and_comes_again() {
+    let (robot, packages) = flown(1, 11);
+    let stream = robot.own_stream();
+    let mut other = Robot::new(config(2), Stamp(0)).unwrap();
+    let mut now = Stamp(20_000_000);
+    assert_eq!(with_resolution(&packages[0], 0.2), packages[0]);
+    assert!(packages.iter().any(|package| !package.header().is_independent));
+    for package in &packages {
+        let index = package.header().index;
+        other.receive_package(now, with_resolution(package, 0.3)).unwrap();
+        merge(&mut other, now);
+        let received = other.session().received(stream);
+        assert!(received.is_none_or(|received| !received.contains(index)), "{index}");
+        // It is asked for again after 10 s.
+        now = now.plus_micros(11_000_000);
+        other.handle_timeout(now);
+        other.receive_package(now, package.clone()).unwrap();
+        merge(&mut other, now);
+        assert!(other.session().received(stream).unwrap().contains(index), "{index}");
+    }
+    assert_eq!(other.counters().damaged, packages.len() as u64);
+    assert_eq!(other.counters().foreign_resolution, 0);
+    let digests = [&robot, &other].map(|of| of.fusion().layer(stream).unwrap().digest());
+    assert_eq!(digests[0], digests[1]);
+}
+
+#[test]
+fn packages_of_a_run_with_another_resolution_are_held_and_not_merged() {
+    let (robot, packages) = flown(1, 11);
+    let mut options = config(2);
+    options.mapper.resolution = Resolution::from_metres(0.3).unwrap();
+    let mut other = Robot::new(options, Stamp(0)).unwrap();
+    let now = Stamp(20_000_000);
+    let count = packages.len() as u64;
+    for package in packages {
+        other.receive_package(now, package).unwrap();
+    }
+    merge(&mut other, now);
+    assert_eq!(other.session().received(robot.own_stream()).unwrap().count(), count);
+    assert_eq!((other.counters().foreign_resolution, other.counters().damaged), (count, 0));
+    assert!(other.fusion().layer(robot.own_stream()).is_none());
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 /// Where the check of a datagram stands: a CRC-32 of all else.
 const CHECK: core::ops::Range<usize> = 24..28;
-/// Bytes at the end of a datagram, which are the payload of its last package.
+/// Bytes at the end of a datagram: the payload of its last package, and of a small one the end of its header too.
 const TAIL: usize = 12;
 
 /// All senders with such a fault, and what they did.

@@ -118,13 +118,36 @@ impl Robot {
     }
 
     fn merge(&mut self, now: Stamp, package: &Package) -> Result<Event, Refusal> {
-        let (got, own) = (package.header().resolution, self.config.mapper.resolution);
-        if got != own {
-            return Err(Refusal::Resolution { got, own });
-        }
-        match Readers::snapshot_of(package) {
+        let chunk_of = Readers::snapshot_of(package);
+        self.check_resolution(package).inspect_err(|_| {
+            chunk_of.into_iter().for_each(|id| self.readers.drop_one(id));
+        })?;
+        match chunk_of {
             Some(id) => self.merge_chunk(now, id, package),
             None => self.merge_package(now, package),
+        }
+    }
+
+    /// Whether the voxels are of the own size. One that says otherwise counts as held ([`Refusal::Resolution`]), so a
+    /// damaged header must not say it: all packages of a run have one resolution. Where a layer shows that it is the
+    /// own one, the package is damaged. Else its check decides, which covers the header; and where it cannot be
+    /// decoded, those that it builds on, which have made no layer either.
+    fn check_resolution(&mut self, package: &Package) -> Result<(), Refusal> {
+        let (got, own) = (package.header().resolution, self.config.mapper.resolution);
+        if got == own {
+            return Ok(());
+        }
+        if self.fusion.layer(package.header().stream).is_some() {
+            let rule = "all packages of a run have one resolution";
+            return Err(PackageError::Header { rule }.into());
+        }
+        let decoded = self.decoder.decode(package);
+        self.note_decoded();
+        match decoded {
+            Ok(_) | Err(PackageError::BaseMissing { .. } | PackageError::ChunkMissing { .. }) => {
+                Err(Refusal::Resolution { got, own })
+            }
+            Err(error) => Err(error.into()),
         }
     }
 
