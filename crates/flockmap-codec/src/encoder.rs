@@ -167,7 +167,7 @@ impl Encoder {
     }
 
     /// Does some of the work of a snapshot: until it has taken `steps_max` steps, at least 1, or what cannot be
-    /// stopped in more: the beginning of a part (what has one stamp), or a chunk. A step is some 3 ns, a chunk of
+    /// stopped in more: the beginning of a part (what has one stamp), or a chunk. A step is some 10 ns, a chunk of
     /// [`Codec::Flock`] has at most half a million. Returns the steps taken; and all chunks, when they are made.
     ///
     /// # Errors

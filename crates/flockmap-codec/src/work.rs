@@ -6,8 +6,8 @@ use flockmap_mutation::{self as mutation, Mutation};
 use crate::codec::Codec;
 use crate::error::PackageError;
 
-/// Steps for each byte of payload. A step is two to four nanoseconds of a core that runs at 3 GHz. Real
-/// flights ask for 60 to 240, and what asks for more is filled up or cut.
+/// Steps for each byte of payload. A step of `flock` takes 6 to 12 ns on the machine of `BENCHMARK.md`. Real
+/// flights ask for 60 to 240 steps, and what asks for more is filled up or cut.
 const STEPS_PER_BYTE: u64 = 224;
 /// Steps that a payload may ask for beside, however short it is: its header has about as many bytes.
 pub(crate) const STEPS_FREE: u64 = 6_144;

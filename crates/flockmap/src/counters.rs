@@ -56,7 +56,7 @@ pub struct RobotCounters {
     pub snapshots: u64,
     /// Of these, pieces of a state that was too large for one.
     pub snapshot_pieces: u64,
-    /// Most steps of work that one call took for these; a step is some 3 ns.
+    /// Most steps of work that one call took for these; a step is some 10 ns.
     pub snapshot_steps_most: u64,
     /// Runs begun while flying, since the own id was used with a higher epoch.
     pub runs_begun: u64,

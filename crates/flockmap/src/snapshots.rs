@@ -8,8 +8,8 @@ use flockmap_sync::Cuts;
 
 use crate::piece::{Piece, PieceReader};
 
-/// Steps of work in one call: some 5 ms of a slow core. Each may take a cube, a chunk or the beginning of a part
-/// more.
+/// Steps of work in one call: some 15 ms on the machine of `BENCHMARK.md`. Each may take a cube, a chunk or
+/// the beginning of a part more.
 const STEPS_MAX: u64 = 1_500_000;
 /// Reading a block of a layer, in steps of the codec.
 const BLOCK_STEPS: u64 = 8_000;
