@@ -22,7 +22,8 @@ faketime() {
         echo "left out: no faketime here (apt-get install faketime)"
         return
     fi
-    cargo test --locked -p flockmap-node --test starts -- --ignored --nocapture two_starts_of_a_program
+    # Without -p: the features of the whole workspace, for which all is built already.
+    cargo test --locked --test starts -- --ignored --nocapture two_starts_of_a_program
 }
 
 # The first of the README's two commands, as a newcomer runs it.
