@@ -6,7 +6,7 @@ use flockmap_mutation::{self as mutation, Mutation};
 use crate::codec::Codec;
 use crate::error::PackageError;
 
-/// Steps for each byte of payload. A step of `flock` takes 6 to 12 ns on the machine of `BENCHMARK.md`. Real
+/// Steps for each byte of payload. A step of `flock` is some 10 ns on the machine of `BENCHMARK.md`. Real
 /// flights ask for 60 to 240 steps, and what asks for more is filled up or cut.
 const STEPS_PER_BYTE: u64 = 224;
 /// Steps that a payload may ask for beside, however short it is: its header has about as many bytes.

@@ -118,20 +118,17 @@ impl Robot {
     }
 
     fn merge(&mut self, now: Stamp, package: &Package) -> Result<Event, Refusal> {
-        let chunk_of = Readers::snapshot_of(package);
-        self.check_resolution(package).inspect_err(|_| {
-            chunk_of.into_iter().for_each(|id| self.readers.drop_one(id));
-        })?;
-        match chunk_of {
+        match Readers::snapshot_of(package) {
             Some(id) => self.merge_chunk(now, id, package),
             None => self.merge_package(now, package),
         }
     }
 
-    /// Whether the voxels are of the own size. One that says otherwise counts as held ([`Refusal::Resolution`]), so a
-    /// damaged header must not say it: all packages of a run have one resolution. Where a layer shows that it is the
-    /// own one, the package is damaged. Else its check decides, which covers the header; and where it cannot be
-    /// decoded, those that it builds on, which have made no layer either.
+    /// Refuses a package whose resolution is not that of this robot. It counts as held then ([`Refusal::Resolution`]),
+    /// so a damaged header must not pass for one. All packages of a run have one resolution: if the run has a layer
+    /// here, the package is damaged. If it has none, its check decides, which covers the header. A package that builds
+    /// on others cannot be decoded without a layer; those others came first, and had another resolution too, or there
+    /// would be a layer.
     fn check_resolution(&mut self, package: &Package) -> Result<(), Refusal> {
         let (got, own) = (package.header().resolution, self.config.mapper.resolution);
         if got == own {
@@ -154,6 +151,7 @@ impl Robot {
     fn merge_package(&mut self, now: Stamp, package: &Package) -> Result<Event, Refusal> {
         let header = *package.header();
         let stream = header.stream;
+        self.check_resolution(package)?;
         self.session.check_base(package)?;
         let content = self.decoder.decode_against(package, self.fusion.layer(stream));
         self.note_decoded();
@@ -173,6 +171,7 @@ impl Robot {
 
     /// Merges the next chunk of those that build on one another.
     fn merge_chunk(&mut self, now: Stamp, id: SnapshotId, chunk: &Package) -> Result<Event, Refusal> {
+        self.check_resolution(chunk).inspect_err(|_| self.readers.drop_one(id))?;
         for (stream, snapshot_id) in self.readers.make_room(now, id, chunk)? {
             self.session.restart_snapshot(now, stream, snapshot_id);
         }
